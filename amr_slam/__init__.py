@@ -1,0 +1,1 @@
+"""Localization of mobile robots from slow laser scanners and fast wheel odometry."""

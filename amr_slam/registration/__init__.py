@@ -1,0 +1,1 @@
+"""Point set registration, one file a method."""

@@ -1,0 +1,224 @@
+"""What flows through the program: measurements in, poses out, and the two device protocols.
+
+All stamps are nanoseconds of one monotonic clock (``time.monotonic_ns()`` in the daemon, the
+log's own clock in a replay). Wall time exists only in :mod:`amr_slam.wire`.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from amr_slam.geometry import Array, Pose2, readonly
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scan:
+    """One sweep of one scanner.
+
+    Beam ``i`` looks along ``angle_min_rad + i * angle_step_rad`` in the lidar frame
+    (counter-clockwise, 0 = straight ahead) at ``stamp_ns + i / (n - 1) * sweep_s``.
+    """
+
+    scanner: str
+    """Name of the scanner in the configuration or the log."""
+    stamp_ns: int
+    """Instant of the first beam."""
+    ranges_m: Array
+    """(n,) read-only. +inf: nothing within range ("no return"). NaN: no measurement."""
+    angle_min_rad: float
+    angle_step_rad: float
+    sweep_s: float = 0.0
+    """Time from the first beam to the last; 0 where the source does not tell."""
+    range_max_m: float = math.inf
+    seq: int | None = None
+    """The device's own scan counter, where it has one."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ranges_m", readonly(self.ranges_m))
+
+    @property
+    def angles_rad(self) -> Array:
+        """(n,) beam angles in the lidar frame."""
+        beams = np.arange(len(self.ranges_m), dtype=np.float64)
+        return self.angle_min_rad + self.angle_step_rad * beams
+
+    @property
+    def mid_stamp_ns(self) -> int:
+        """Middle of the sweep: the instant for which the scan's pose is estimated."""
+        return self.stamp_ns + round(0.5e9 * self.sweep_s)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WheelSample:
+    """Both wheels' angles at one instant, summed since the source was opened (never wrapped)."""
+
+    stamp_ns: int
+    left_rad: float
+    """Rotation of the left wheel, forward positive."""
+    right_rad: float
+    segment: int = 0
+    """+1 whenever continuity is lost (gap, encoder reset): never integrate across segments."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OdometrySample:
+    """A pose that somebody else integrated from the wheels (logs, drives with own odometry)."""
+
+    stamp_ns: int
+    odom_from_base: Pose2
+    segment: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Motion:
+    """What the wheels say about one interval: the base frame's own displacement."""
+
+    start_ns: int
+    end_ns: int
+    delta: Pose2
+    """``start_from_end`` of the base frame."""
+    covariance: Array
+    """(3, 3) read-only: of delta's (x, y, theta) in the end's frame, body (right) perturbation."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", readonly(self.covariance))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SlamPose:
+    """A pose that the registration found for one scan, true for ``stamp_ns``."""
+
+    stamp_ns: int
+    map_from_base: Pose2
+    covariance: Array
+    """(3, 3) read-only, of (x, y, theta) in the map frame."""
+    epoch: int = 0
+    """Number of the map frame: poses of different epochs must not be compared."""
+    relocalized: bool = False
+    """True: found without the prior (a jump is meant), not a correction of it."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", readonly(self.covariance))
+
+
+class Outcome(enum.StrEnum):
+    """What became of one sample. Everything but ACCEPTED is counted and published."""
+
+    ACCEPTED = "accepted"
+    INFLATED = "inflated"
+    """Taken with a larger covariance: suspicious, not absurd."""
+    GATED = "gated"
+    """Refused: contradicts the estimate by more than both claim."""
+    RESET = "reset"
+    """The estimate jumped to it: a new epoch."""
+    LATE = "late"
+    """Older than the history that could take it in."""
+    FUTURE = "future"
+    """Stamped after the newest wheel sample by more than clocks may differ."""
+    DUPLICATE = "duplicate"
+    INVALID = "invalid"
+    """Not finite, not positive definite, beyond physical limits."""
+    UNKNOWN = "unknown"
+    """A scan for which no pose was found."""
+
+
+class State(enum.StrEnum):
+    """What a published pose is worth (contracts: ``state``)."""
+
+    STARTING = "starting"
+    LOCALIZED = "localized"
+    ODOMETRY_ONLY = "odometry_only"
+    LOST = "lost"
+    AMBIGUOUS = "ambiguous"
+    MAPPING = "mapping"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoseEstimate:
+    """The fused pose, true for ``stamp_ns``, and what it is worth."""
+
+    stamp_ns: int
+    map_from_base: Pose2
+    covariance: Array
+    """(3, 3) read-only, of (x, y, theta) in the map frame."""
+    odom_from_base: Pose2
+    """Wheels alone since the start: drifts, never jumps."""
+    vx_mps: float
+    omega_radps: float
+    state: State
+    epoch: int
+    error95_m: float
+    """The position error that is not exceeded in 95 % of the cases."""
+    since_fix_s: float
+    since_fix_m: float
+    wheel_age_s: float = 0.0
+    """Age of the newest wheel sample in it."""
+    fault: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", readonly(self.covariance))
+
+
+class Link(enum.StrEnum):
+    """State of a device or process as seen from outside."""
+
+    OK = "ok"
+    STALE = "stale"
+    LOST = "lost"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Health:
+    """One device's health. ``detail`` names what a technician can act on (standby, lock-out)."""
+
+    link: Link
+    age_s: float | None = None
+    """Since the last good sample; None before the first."""
+    rate_hz: float = 0.0
+    samples: int = 0
+    errors: int = 0
+    detail: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeviceInfo:
+    """What a device says about itself; for ``check --probe`` and the status message."""
+
+    model: str
+    address: str
+    """Port, URL or channel."""
+    facts: tuple[tuple[str, str], ...] = field(default=())
+    """Further (name, value) pairs in the technician's words."""
+
+
+class Scanner(Protocol):
+    """A scanner's driver. One thread calls ``read``; ``close`` may come from another."""
+
+    def read(self, timeout_s: float) -> Scan | None:
+        """The next complete scan, or None when none came in time. Raises DriverError (LinkLost
+        when the device is gone; the caller closes, waits and opens anew)."""
+
+    def info(self) -> DeviceInfo: ...
+
+    def status(self) -> tuple[int, str | None]:
+        """(damaged telegrams so far, what hinders measuring now or None)."""
+
+    def close(self) -> None:
+        """Idempotent; a blocked ``read`` returns within 0.5 s."""
+
+
+class OdometrySource(Protocol):
+    """A wheel odometry driver; same rules as :class:`Scanner`."""
+
+    def read(self, timeout_s: float) -> WheelSample | OdometrySample | None: ...
+
+    def info(self) -> DeviceInfo: ...
+
+    def status(self) -> tuple[int, str | None]: ...
+
+    def close(self) -> None: ...
