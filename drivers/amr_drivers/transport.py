@@ -1,0 +1,103 @@
+"""Serial lines and TCP byte streams with time-outs, and nothing else.
+
+The only module with pyserial or sockets. Traps that it covers are listed in the protocol fact
+sheet, section F.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+
+import serial
+from serial import SerialException
+
+from amr_drivers.errors import LinkLost, LinkTimeout
+
+_SLICE_S = 0.1
+"""Longest single wait: what ``close`` from another thread may have to wait for."""
+_BLOCK = 4096
+
+
+class ByteStream:
+    """One open port, read by one thread; ``close`` may come from any other.
+
+    ``port`` is a device path or a pyserial URL: ``/dev/serial/by-id/...``, ``socket://host:port``
+    (raw TCP converter), ``rfc2217://host:port`` (converter that sets the baud rate itself).
+    8 data bits, no parity, 1 stop bit, no flow control.
+
+    Raises LinkLost when the port cannot be opened, LinkTimeout when a converter does not answer.
+    """
+
+    def __init__(self, port: str, baud_rate: int) -> None:
+        self._port_name = port
+        self._reading = threading.Lock()
+        self._closed = threading.Event()
+        try:
+            # The lock on the port is advisory, but it stops a second copy of this program from
+            # stealing every other byte.
+            self._port = serial.serial_for_url(
+                port, baudrate=baud_rate, timeout=_SLICE_S, exclusive=True
+            )
+        except ValueError as error:
+            raise ValueError(f"{port}: {error}") from error
+        except OSError as error:  # SerialException is one of them
+            if isinstance(error.__context__, TimeoutError):
+                raise LinkTimeout(f"{port}: {error}") from error
+            raise LinkLost(f"{port}: {error}") from error
+        # On a socket `in_waiting` tells only whether there is anything: it cannot size a read.
+        self._counts_waiting = not port.startswith("socket://")
+
+    def read(self, timeout_s: float) -> bytes:
+        """What arrived, as soon as anything did; ``b""`` when nothing came in time.
+
+        The time-out is rounded up to 0.1 s, so that the first byte's arrival is not missed by a
+        port that is set up anew for every call. Raises LinkLost on a hang-up or after ``close``.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            data = self._read_slice()
+            if data or time.monotonic() >= deadline:
+                return data
+
+    def discard_input(self) -> None:
+        """Throw away all bytes that wait to be read. Raises LinkLost."""
+        with self._reading:
+            self._refuse_closed()
+            try:
+                self._port.reset_input_buffer()
+            except OSError as error:
+                raise LinkLost(f"{self._port_name}: {error}") from error
+
+    def close(self) -> None:
+        """Idempotent; a read in another thread ends with LinkLost within 0.5 s."""
+        self._closed.set()
+        with self._reading, contextlib.suppress(OSError):
+            self._port.close()
+
+    def _refuse_closed(self) -> None:
+        if self._closed.is_set():
+            raise LinkLost(f"{self._port_name}: closed")
+
+    def _read_slice(self) -> bytes:
+        with self._reading:
+            self._refuse_closed()
+            try:
+                if self._counts_waiting:
+                    return bytes(self._port.read(max(1, min(self._port.in_waiting, _BLOCK))))
+                return self._read_socket()
+            # pyserial lets the operating system's errors (EIO, ENODEV) through in places, and its
+            # socket reader meets a concurrent hang-up as a TypeError.
+            except (SerialException, OSError, TypeError) as error:
+                raise LinkLost(f"{self._port_name}: {error}") from error
+
+    def _read_socket(self) -> bytes:
+        first = bytes(self._port.read(1))
+        if not first:
+            return first
+        self._port.timeout = 0
+        try:
+            return first + bytes(self._port.read(_BLOCK))
+        finally:
+            self._port.timeout = _SLICE_S
