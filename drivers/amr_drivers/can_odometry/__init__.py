@@ -1,0 +1,1 @@
+"""Wheel encoders on CAN, described by a DBC file."""
