@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from amr_drivers import registry
+
+
+def test_every_driver_of_the_table_can_be_opened_by_its_contract() -> None:
+    for name in registry.scanner_names():
+        module = registry.scanner_module(name)
+        assert dataclasses.is_dataclass(module.Settings)
+        assert callable(module.open_scanner)
+    for name in registry.odometry_names():
+        odometry = registry.odometry_module(name)
+        assert dataclasses.is_dataclass(odometry.Settings)
+        assert callable(odometry.open_odometry)
+    assert "sick_s300" in registry.scanner_names()
+    assert "can" in registry.odometry_names()
+
+
+def test_unknown_names_get_one_clear_error() -> None:
+    with pytest.raises(ValueError, match="'sick_s30'; did you mean 'sick_s300'"):
+        registry.scanner_module("sick_s30")
+    with pytest.raises(ValueError, match="no odometry driver is named 'gps'; known are can"):
+        registry.odometry_module("gps")
+
+
+def test_a_plug_in_is_found_and_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    points = [
+        EntryPoint("acme", "amr_drivers.sick_s300.driver", "amr_slam.scanners"),
+        EntryPoint("hollow", "amr_drivers.errors", "amr_slam.scanners"),
+        EntryPoint("broken", "amr_drivers.absent", "amr_slam.scanners"),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda **_: points)
+    assert registry.scanner_module("acme").Settings.__name__ == "Settings"
+    with pytest.raises(ValueError, match=r"'hollow': amr_drivers\.errors has no Settings"):
+        registry.scanner_module("hollow")
+    with pytest.raises(ValueError, match="'broken' cannot be loaded"):
+        registry.scanner_module("broken")
+
+
+def test_drivers_are_loaded_only_when_asked_for() -> None:
+    code = (
+        "import sys; from amr_drivers import registry; registry.scanner_names();"
+        "assert not {'serial', 'can', 'cantools'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
