@@ -136,6 +136,11 @@ def interpolate(start: Pose2, end: Pose2, fraction: float) -> Pose2:
     return start @ Pose2.exp(fraction * (start.inverse() @ end).log())
 
 
+def inverse_matrix(matrix: Array) -> Array:
+    """The inverse of a square matrix; raises numpy.linalg.LinAlgError where there is none."""
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
 def readonly(array: ArrayLike, dtype: Any = np.float64) -> NDArray[Any]:
     """A contiguous copy that nobody can write to, for frozen values that hold arrays."""
     copy = np.array(array, dtype=dtype, order="C")

@@ -1,0 +1,193 @@
+"""From a scanner's polar readings to a cloud in the robot's base frame that can be registered."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from amr_slam.geometry import Array, Pose2, readonly
+from amr_slam.samples import Scan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloudParams:
+    """Which readings are used, and how the surface's direction is taken from them."""
+
+    range_min_m: Annotated[float, Ge(0.0)] = 0.05
+    """Nearer readings are the robot's own body or dirt on the window."""
+    range_max_m: Annotated[float, Gt(0.0)] = 25.0
+    """Farther readings are dropped: neighbouring beams no longer lie on one surface."""
+    normal_beams: Annotated[int, Ge(1), Le(30)] = 8
+    """A normal is taken from at most this many beams to each side."""
+    normal_radius_m: Annotated[float, Gt(0.0)] = 0.15
+    """... that end within this distance of the point (or 2.5 beam spacings, if that is more)."""
+    grazing_deg: Annotated[float, Ge(0.0), Le(45.0)] = 5.0
+    """Hits flatter than this to their surface are mixed pixels more often than walls."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Cloud:
+    """The hits of one instant in the base frame; all arrays are read-only and row-aligned."""
+
+    stamp_ns: int
+    points_m: Array
+    """(n, 2)."""
+    normals: Array
+    """(n, 2) unit normals that face the scanner; (0, 0) where the neighbours tell none."""
+    origins_m: Array
+    """(n, 2) where the scanner stood that saw the point."""
+    sigma_m: float
+    """Noise of one range, estimated from the scan itself."""
+
+    def __post_init__(self) -> None:
+        for name in ("points_m", "normals", "origins_m"):
+            object.__setattr__(self, name, readonly(getattr(self, name)))
+
+    def __len__(self) -> int:
+        return len(self.points_m)
+
+    @property
+    def has_normal(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """(n,) whether the point's surface direction is known."""
+        return np.asarray(np.any(self.normals != 0.0, axis=1))
+
+
+def range_noise(ranges_m: Array) -> float:
+    """Standard deviation of one range in m, from second differences of neighbouring ranges.
+
+    Robust (median absolute deviation), so corners and gaps do not count; NaN-free input is not
+    needed. Returns 0 where fewer than 8 neighbours tell. Source: the variance of
+    r[i-1] - 2 r[i] + r[i+1] is 6 sigma^2.
+    """
+    with np.errstate(invalid="ignore"):
+        second = ranges_m[:-2] - 2.0 * ranges_m[1:-1] + ranges_m[2:]
+    second = second[np.isfinite(second)]
+    if len(second) < 8:
+        return 0.0
+    return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6.0))
+
+
+def _surface(points: Array, spacing: Array, params: CloudParams) -> tuple[Array, Array]:
+    """Normals (n, 2) and neighbour counts (n,) of points in beam order, by local PCA.
+
+    ``spacing`` (n,) is the distance of neighbouring beams at the point's range.
+    """
+    n = len(points)
+    radius = np.maximum(params.normal_radius_m, 2.5 * spacing)
+    offsets = np.arange(-params.normal_beams, params.normal_beams + 1)
+    index = np.arange(n) + offsets[:, None]
+    inside = (index >= 0) & (index < n)
+    difference = points[np.clip(index, 0, n - 1)] - points
+    with np.errstate(invalid="ignore"):
+        near = inside & (np.hypot(difference[..., 0], difference[..., 1]) <= radius)
+    difference = np.where(near[..., None], difference, 0.0)
+    count = near.sum(axis=0)
+    mean = difference.sum(axis=0) / np.maximum(count, 1)[:, None]
+    centred = np.where(near[..., None], difference - mean, 0.0)
+    xx = np.sum(centred[..., 0] ** 2, axis=0)
+    yy = np.sum(centred[..., 1] ** 2, axis=0)
+    xy = np.sum(centred[..., 0] * centred[..., 1], axis=0)
+    # The larger eigenvector of [[xx, xy], [xy, yy]] runs along the surface.
+    along = 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    return np.stack([-np.sin(along), np.cos(along)], axis=1), count
+
+
+def cloud_from_scan(
+    scan: Scan,
+    base_from_lidar: Pose2,
+    params: CloudParams,
+    *,
+    upside_down: bool = False,
+    sweep: tuple[Pose2, Pose2] | None = None,
+) -> Cloud:
+    """The scan's usable hits in the base frame of its middle instant.
+
+    ``sweep``: where the base stood at the first and at the last beam, in the base frame of the
+    middle instant; each beam is moved by its own time (deskewed). None: no motion.
+    ``upside_down``: the scanner hangs, its counter-clockwise is the robot's clockwise.
+    """
+    angles = -scan.angles_rad if upside_down else scan.angles_rad
+    ranges = scan.ranges_m
+    with np.errstate(invalid="ignore"):
+        usable = (ranges >= params.range_min_m) & (
+            ranges <= min(params.range_max_m, scan.range_max_m)
+        )
+    beams = np.flatnonzero(usable)
+    hits = ranges[beams]
+    points = hits[:, None] * np.stack([np.cos(angles[beams]), np.sin(angles[beams])], axis=1)
+    points = base_from_lidar @ points
+    origins = np.broadcast_to(base_from_lidar.translation, points.shape)
+    if sweep is not None and len(ranges) > 1:
+        fraction = (beams / (len(ranges) - 1))[:, None]
+        points, origins = _deskew(points, fraction, sweep), _deskew(origins, fraction, sweep)
+    if not len(beams):
+        return Cloud(
+            stamp_ns=scan.mid_stamp_ns, points_m=points, normals=points, origins_m=origins,
+            sigma_m=0.0,
+        )  # fmt: skip
+    # Neighbours are counted in beams, so that a gap of missing returns separates surfaces.
+    spread = np.full((len(ranges), 2), np.nan)
+    spread[beams] = points
+    spacing = np.where(usable, ranges, 0.0) * abs(scan.angle_step_rad)
+    normals, count = _surface(spread, spacing, params)
+    normals, count = normals[beams], count[beams]
+    sight = origins - points
+    sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-9)
+    facing = np.sum(normals * sight, axis=1)
+    normals = normals * np.where(facing < 0.0, -1.0, 1.0)[:, None]
+    straight = np.abs(facing) >= math.sin(math.radians(params.grazing_deg))
+    known = (count >= 4) & straight
+    # An isolated return (mixed pixel, dust) has no neighbour at all: count includes itself.
+    keep = (count >= 2) & (straight | (count < 4))
+    return Cloud(
+        stamp_ns=scan.mid_stamp_ns,
+        points_m=points[keep],
+        normals=np.where(known[:, None], normals, 0.0)[keep],
+        origins_m=origins[keep],
+        sigma_m=range_noise(np.where(usable, ranges, np.nan)),
+    )
+
+
+def _deskew(points: Array, fraction: Array, sweep: tuple[Pose2, Pose2]) -> Array:
+    """Each point moved by the base's pose at its own fraction of the sweep (small motions:
+    position and heading interpolated linearly)."""
+    first, last = sweep[0].as_array(), sweep[1].as_array()
+    turn = math.remainder(last[2] - first[2], math.tau)
+    theta = first[2] + fraction[:, 0] * turn
+    c, s = np.cos(theta), np.sin(theta)
+    shift = first[:2] + fraction * (last[:2] - first[:2])
+    rotated = np.stack(
+        [c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1
+    )
+    return rotated + shift
+
+
+def merge(clouds: Sequence[tuple[Cloud, Pose2]]) -> Cloud:
+    """Several scanners' clouds in the base frame of the first one's instant.
+
+    Each comes with ``target_from_base``: where the base stood at that cloud's own instant, in
+    the base frame of the common one. Noise is the largest: the weakest scanner sets the trust.
+    """
+    return Cloud(
+        stamp_ns=clouds[0][0].stamp_ns,
+        points_m=np.concatenate([pose @ cloud.points_m for cloud, pose in clouds]),
+        normals=np.concatenate([cloud.normals @ pose.rotation.T for cloud, pose in clouds]),
+        origins_m=np.concatenate([pose @ cloud.origins_m for cloud, pose in clouds]),
+        sigma_m=max(cloud.sigma_m for cloud, _ in clouds),
+    )
+
+
+def crop(cloud: Cloud, keep: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Cloud:
+    """The cloud's points where ``keep`` (n,) is true."""
+    return Cloud(
+        stamp_ns=cloud.stamp_ns,
+        points_m=cloud.points_m[keep],
+        normals=cloud.normals[keep],
+        origins_m=cloud.origins_m[keep],
+        sigma_m=cloud.sigma_m,
+    )

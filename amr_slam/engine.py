@@ -1,0 +1,167 @@
+"""The SLAM side of the program: owns the map, answers one scan at a time.
+
+Runs in a process of its own in the daemon and in line in a replay; it knows neither.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from amr_slam.clouds import Cloud
+from amr_slam.geometry import Array, Pose2, inverse_matrix
+from amr_slam.map import PointMap
+from amr_slam.params import SlamParams
+from amr_slam.registration.icp import Prior, points_alone
+from amr_slam.samples import SlamPose
+from amr_slam.slam import Answer, Hypothesis, Rung, Verdict, ladder, slam_absolute, unknown
+
+Mode = Literal["mapping", "localization"]
+
+# Added to the prior's covariance: scan stamps, mounting and sweep are never exact.
+_SLACK = np.diag([0.02**2, 0.02**2, 0.01**2])
+# Largest covariance that a fix may carry (m2, m2, rad2): "nothing known" in numbers.
+_FIX_LIMIT = 1e4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SlamRequest:
+    """One instant's cloud and what the fusion knows of the pose there."""
+
+    cloud: Cloud
+    odom_from_base: Pose2
+    """By the wheels alone, for comparing requests with one another."""
+    map_from_base: Pose2 | None
+    """Expected pose; None: anywhere."""
+    covariance: Array | None
+    """(3, 3) of the expected pose."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SlamResult:
+    """The answer to one request."""
+
+    stamp_ns: int
+    answer: Answer
+    fix: SlamPose | None
+    """Present where the answer is accepted."""
+    inserted: bool
+    """The scan became part of the map."""
+    map_scans: int
+    map_points: int
+
+
+class SlamEngine:
+    """Scan in, pose out; in mapping mode the map grows by each accepted scan."""
+
+    def __init__(self, params: SlamParams, grown: PointMap, mode: Mode) -> None:
+        self.params = params
+        self.map = grown
+        self.mode: Mode = mode
+        self._last_inserted: Pose2 | None = None
+
+    def update(self, request: SlamRequest) -> SlamResult:
+        """Register one cloud. Never raises for what a scan contains."""
+        cloud = request.cloud
+        if self.mode == "mapping" and not len(self.map) and request.map_from_base is not None:
+            return self._found(request)
+        prior = _prior(request)
+        answer = self._search(cloud, prior)
+        fix = None
+        if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
+            fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
+        inserted = self.mode == "mapping" and self._grow(request, answer, fix)
+        return self._result(cloud.stamp_ns, answer, fix, inserted=inserted)
+
+    def _search(self, cloud: Cloud, prior: Prior | None) -> Answer:
+        if prior is None:
+            return slam_absolute(cloud, self.map, self.params)
+        answer = unknown("the ladder has no rung")
+        for answer in ladder(cloud, self.map, prior, self.params):
+            if answer.verdict is Verdict.ACCEPTED or self._new_territory(answer):
+                return answer
+        return answer
+
+    def _found(self, request: SlamRequest) -> SlamResult:
+        """The first scan founds the map: its frame is where the robot stands."""
+        pose = request.map_from_base or Pose2.identity()
+        inserted = len(request.cloud) > 0
+        if inserted:
+            self.map.insert(request.cloud, pose)
+            self._last_inserted = pose
+        answer = unknown("the first scan founds the map" if inserted else "the scan is empty")
+        return self._result(request.cloud.stamp_ns, answer, None, inserted=inserted)
+
+    def _new_territory(self, answer: Answer) -> bool:
+        """Mapping: the scan overlaps too little with the map to say anything. That is no
+        failure, and no reason to search elsewhere."""
+        best = answer.best
+        return (
+            self.mode == "mapping"
+            and answer.rung is Rung.RELATIVE
+            and best is not None
+            and best.known < self.params.min_known
+        )
+
+    def _grow(self, request: SlamRequest, answer: Answer, fix: SlamPose | None) -> bool:
+        pose = None
+        if fix is not None and answer.best is not None:
+            pose = answer.best.pose
+        elif self._new_territory(answer):
+            pose = request.map_from_base
+        if pose is None or not self._moved(pose):
+            return False
+        self.map.insert(request.cloud, pose)
+        self._last_inserted = pose
+        return True
+
+    def _moved(self, pose: Pose2) -> bool:
+        """A standing robot adds nothing but noise."""
+        if self._last_inserted is None:
+            return True
+        delta = self._last_inserted.inverse() @ pose
+        return (
+            delta.distance_to(Pose2.identity()) > self.params.insert_m
+            or abs(delta.theta_rad) > self.params.insert_rad
+        )
+
+    def _result(
+        self, stamp_ns: int, answer: Answer, fix: SlamPose | None, *, inserted: bool
+    ) -> SlamResult:
+        return SlamResult(
+            stamp_ns=stamp_ns,
+            answer=answer,
+            fix=fix,
+            inserted=inserted,
+            map_scans=len(self.map.path),
+            map_points=len(self.map),
+        )
+
+
+def _prior(request: SlamRequest) -> Prior | None:
+    if request.map_from_base is None or request.covariance is None:
+        return None
+    return Prior(
+        target_from_source=request.map_from_base,
+        information=inverse_matrix(request.covariance + _SLACK),
+    )
+
+
+def _fix(stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None) -> SlamPose:
+    """The accepted pose as a measurement of its own: without the prior that helped to find it."""
+    alignment = best.alignment
+    relocalized = rung is Rung.ABSOLUTE
+    if prior is None or relocalized:
+        floor = np.eye(3) / _FIX_LIMIT
+        pose, covariance = best.pose, inverse_matrix(alignment.information + floor)
+    else:
+        pose, covariance = points_alone(alignment, prior)
+    scale = min(1.0, _FIX_LIMIT / float(np.trace(covariance)))
+    return SlamPose(
+        stamp_ns=stamp_ns,
+        map_from_base=pose,
+        covariance=scale * covariance,
+        relocalized=relocalized,
+    )

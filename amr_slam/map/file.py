@@ -1,0 +1,228 @@
+"""``NAME.amrmap``: one file, checked, written atomically. Format: docs/map-format.md.
+
+Layout: a magic line, the header's length, a JSON header, the arrays one after another (zlib over
+all of them), and a SHA-256 over everything before it. Never pickle; nothing in the file decides
+how much memory is taken beyond the bounds below.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import struct
+import tempfile
+import uuid
+import zlib
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amr_slam.geometry import Pose2
+from amr_slam.map.pointmap import MapParams, PointMap
+
+MAGIC = b"AMRMAP\r\n"
+VERSION = 1
+MAX_FILE_BYTES = 512 * 2**20
+MAX_CONTENT_BYTES = 2 * 2**30
+_MAX_HEADER_BYTES = 2**20
+_LENGTH = struct.Struct("<I")
+_DIGEST_BYTES = 32
+_NAMESPACE = uuid.UUID("6f1c1f5e-5d0b-4c3b-9c0e-2a4f6a3b7d10")
+
+# Arrays of version 1, in the file's order: name -> (dtype, columns; 0 = one-dimensional).
+_ARRAYS = {
+    "wall_keys": ("<i8", 0),
+    "wall_sums": ("<f8", 6),
+    "space_keys": ("<i8", 0),
+    "space_sums": ("<f8", 2),
+    "path_stamps_ns": ("<i8", 0),
+    "path_poses": ("<f8", 3),
+}
+
+
+class MapError(Exception):
+    """A map file that cannot be used; the message names the file and what to do."""
+
+
+def save_map(grown: PointMap, path: Path, *, keep: int = 2) -> uuid.UUID:
+    """Write the map and return its UUID, a function of its content (same map, same bytes).
+
+    Written beside the target, synced, then renamed: a crash at any moment leaves the old file or
+    the new one, whole. The ``keep`` newest old versions stay as NAME.amrmap.1, .2, ...
+    Raises MapError where the folder cannot be written.
+    """
+    data, map_id = encode(grown)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=path.name, suffix=".tmp", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            _rotate(path, keep)
+            os.replace(name, path)  # noqa: PTH105 - the pair of mkstemp
+        except BaseException:
+            with contextlib.suppress(FileNotFoundError):
+                Path(name).unlink()
+            raise
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise MapError(f"{path}: cannot write the map: {error.strerror or error}") from error
+    return map_id
+
+
+def _rotate(path: Path, keep: int) -> None:
+    """Shift older versions by one; the current file is linked, so it never goes missing."""
+    for number in range(keep, 1, -1):
+        older = path.with_name(f"{path.name}.{number - 1}")
+        if older.exists():
+            older.replace(path.with_name(f"{path.name}.{number}"))
+    if keep and path.exists():
+        first = path.with_name(f"{path.name}.1")
+        first.unlink(missing_ok=True)
+        first.hardlink_to(path)
+
+
+def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
+    """The file's bytes and the map's UUID."""
+    arrays = {
+        "wall_keys": grown.walls.keys,
+        "wall_sums": grown.walls.sums,
+        "space_keys": grown.space.keys,
+        "space_sums": grown.space.sums,
+        "path_stamps_ns": np.array([stamp for stamp, _ in grown.path], dtype=np.int64),
+        "path_poses": np.array([pose.as_array() for _, pose in grown.path]).reshape(-1, 3),
+    }
+    content = b"".join(
+        np.ascontiguousarray(array, dtype=_ARRAYS[name][0]).tobytes()
+        for name, array in arrays.items()
+    )
+    map_id = uuid.uuid5(_NAMESPACE, hashlib.sha256(content).hexdigest())
+    header = {
+        "version": VERSION,
+        "uuid": str(map_id),
+        "name": grown.name,
+        "params": asdict(grown.params),
+        "rows": {name: len(array) for name, array in arrays.items()},
+    }
+    text = json.dumps(header, sort_keys=True).encode()
+    body = MAGIC + _LENGTH.pack(len(text)) + text + zlib.compress(content, 6)
+    return body + hashlib.sha256(body).digest(), map_id
+
+
+def load_map(path: Path) -> tuple[PointMap, uuid.UUID]:
+    """The map in a file and its UUID. Raises MapError: missing, damaged, too new, too large."""
+    try:
+        size = path.stat().st_size
+        if size > MAX_FILE_BYTES:
+            raise MapError(f"{path}: {size} bytes, more than a map may have ({MAX_FILE_BYTES})")
+        data = path.read_bytes()
+    except OSError as error:
+        raise MapError(f"{path}: cannot read the map: {error.strerror or error}") from error
+    try:
+        return decode(data)
+    except MapError as error:
+        raise MapError(f"{path}: {error}") from error
+
+
+def decode(data: bytes) -> tuple[PointMap, uuid.UUID]:
+    """The map in a file's bytes. Raises MapError; see :func:`load_map`."""
+    start = len(MAGIC) + _LENGTH.size
+    if not data.startswith(MAGIC):
+        raise MapError("not a map file (it does not begin as one)")
+    if len(data) < start + _DIGEST_BYTES:
+        raise MapError("the file is cut short; use an older version (NAME.amrmap.1)")
+    body, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
+    header = _header(body, start)
+    if header.get("version") != VERSION:
+        raise MapError(
+            f"map format version {header.get('version')!r}, this program reads {VERSION}: "
+            "use the amr-slam that wrote it, or a newer one"
+        )
+    if hashlib.sha256(body).digest() != digest:
+        raise MapError("the file is damaged (checksum); use an older version (NAME.amrmap.1)")
+    try:
+        return _build(header, body, start)
+    except (KeyError, TypeError, ValueError) as error:
+        raise MapError(f"the file's content makes no sense: {error}") from error
+
+
+def _header(body: bytes, start: int) -> dict[str, Any]:
+    (length,) = _LENGTH.unpack_from(body, len(MAGIC))
+    if length > min(_MAX_HEADER_BYTES, len(body) - start):
+        raise MapError("the file is damaged (header length); use an older version (NAME.amrmap.1)")
+    try:
+        header = json.loads(body[start : start + length])
+    except (ValueError, RecursionError) as error:
+        raise MapError("the file is damaged (header); use an older version") from error
+    if not isinstance(header, dict):
+        raise MapError("the file is damaged (header); use an older version (NAME.amrmap.1)")
+    return header
+
+
+def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, uuid.UUID]:
+    (length,) = _LENGTH.unpack_from(body, len(MAGIC))
+    rows = {name: int(header["rows"][name]) for name in _ARRAYS}
+    sizes = {
+        name: rows[name] * np.dtype(dtype).itemsize * max(columns, 1)
+        for name, (dtype, columns) in _ARRAYS.items()
+    }
+    total = sum(sizes.values())
+    if min(rows.values()) < 0 or total > MAX_CONTENT_BYTES:
+        raise MapError(f"the header claims {total} bytes, more than a map may have")
+    unpacker = zlib.decompressobj()
+    try:
+        content = unpacker.decompress(body[start + length :], total + 1)
+    except zlib.error as error:
+        raise MapError(f"the file is damaged ({error}); use an older version") from error
+    if len(content) != total:
+        raise MapError("the file is damaged (content length); use an older version")
+    arrays: dict[str, NDArray[Any]] = {}
+    offset = 0
+    for name, (dtype, columns) in _ARRAYS.items():
+        flat = np.frombuffer(content, dtype, sizes[name] // np.dtype(dtype).itemsize, offset)
+        arrays[name] = flat.reshape(-1, columns).copy() if columns else flat.copy()
+        offset += sizes[name]
+    grown = PointMap(_params(header["params"]), str(header["name"]))
+    _fill(grown, arrays)
+    return grown, uuid.UUID(str(header["uuid"]))
+
+
+def _params(raw: dict[str, Any]) -> MapParams:
+    params = MapParams(**raw)
+    numbers = [value for value in asdict(params).values() if not isinstance(value, bool)]
+    if not all(isinstance(value, int | float) and value >= 0.0 for value in numbers):
+        raise ValueError("map parameters must be numbers")
+    if min(params.cell_m, params.free_cell_m) < 1e-3:
+        raise ValueError("cells of less than a millimetre")
+    return params
+
+
+def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
+    for name in ("wall_sums", "space_sums", "path_poses"):
+        if not np.all(np.isfinite(arrays[name])):
+            raise ValueError(f"{name} holds numbers that are not finite")
+    for grid, keys, sums in (
+        (grown.walls, "wall_keys", "wall_sums"),
+        (grown.space, "space_keys", "space_sums"),
+    ):
+        if len(arrays[keys]) != len(arrays[sums]) or np.any(np.diff(arrays[keys]) <= 0):
+            raise ValueError(f"{keys} must be sorted and match {sums}")
+        grid.keys, grid.sums = arrays[keys], arrays[sums]
+    if len(arrays["path_poses"]) != len(arrays["path_stamps_ns"]):
+        raise ValueError("the path's stamps and poses differ in number")
+    grown.path = [
+        (int(stamp), Pose2.from_array(pose))
+        for stamp, pose in zip(arrays["path_stamps_ns"], arrays["path_poses"], strict=True)
+    ]
+    grown.revision = 1

@@ -1,0 +1,99 @@
+"""Every constant of localization in one tree, with the two presets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from amr_slam.clouds import CloudParams
+from amr_slam.geometry import Array
+from amr_slam.map.pointmap import MapParams
+from amr_slam.registration.cpd import CpdParams
+from amr_slam.registration.icp import IcpParams
+from amr_slam.registration.rdnm import RdnmParams
+
+Share = Annotated[float, Ge(0.0), Le(1.0)]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlamParams:
+    """The strategies of :mod:`amr_slam.slam` and the methods below them."""
+
+    clouds: CloudParams = field(default_factory=CloudParams)
+    map: MapParams = field(default_factory=MapParams)
+    rdnm: RdnmParams = field(default_factory=RdnmParams)
+    icp: IcpParams = field(default_factory=IcpParams)
+    cpd: CpdParams = field(default_factory=CpdParams)
+
+    grid_m: Annotated[float, Gt(0.0)] = 0.5
+    """The paper's g: spacing of the places that the absolute strategy tries."""
+    robot_radius_m: Annotated[float, Gt(0.0)] = 0.3
+    """Places nearer to a wall than this are not tried: the robot would not fit."""
+    absolute_candidates: Annotated[int, Ge(1), Le(500)] = 24
+    """Rough poses that the absolute strategy refines."""
+    local_candidates: Annotated[int, Ge(0), Le(100)] = 5
+    """Rough poses that the relative strategy refines beside the prior itself."""
+    local_spacing_m: Annotated[float, Gt(0.0)] = 0.3
+    """Spacing of the places inside the prior's window."""
+    window_xy_m: tuple[float, float] = (0.3, 1.8)
+    """Least and greatest half side of the prior's window."""
+    window_deg: tuple[float, float] = (15.0, 60.0)
+    """Least and greatest half width of the prior's heading window."""
+
+    e_max_m: Annotated[float, Gt(0.0)] = 1.0
+    """The paper's e_max: a registration error (eq. 1) at or above it is a failure. At 1 m, its
+    own threshold, it never speaks: new territory raises it as much as a wrong pose does."""
+    fit_m: Annotated[float, Gt(0.0)] = 0.25
+    """A point this far from the nearest wall fits no better than one in the open."""
+    min_inliers: Share = 0.65
+    """Least share on walls, of the points in known places."""
+    max_conflict: Share = 0.12
+    """Greatest share standing in seen-free space: people and moved things, not more."""
+    min_known: Share = 0.35
+    """Least share in known places: less is new territory, not a registration."""
+    relative_margin: Share = 0.0
+    """Least lead over a second place inside the prior's window."""
+    absolute_margin: Share = 0.2
+    """Least lead over a second place anywhere."""
+    insert_m: Annotated[float, Ge(0.0)] = 0.1
+    """While mapping, a scan joins the map after this much travel"""
+    insert_rad: Annotated[float, Ge(0.0)] = 0.1
+    """... or this much turn since the last one: a standing robot adds nothing but noise."""
+
+    @property
+    def window_min(self) -> Array:
+        """(x m, y m, theta rad) least half window."""
+        return np.array([self.window_xy_m[0]] * 2 + [math.radians(self.window_deg[0])])
+
+    @property
+    def window_max(self) -> Array:
+        """(x m, y m, theta rad) greatest half window."""
+        return np.array([self.window_xy_m[1]] * 2 + [math.radians(self.window_deg[1])])
+
+
+Preset = Literal["default", "paper"]
+
+
+def preset(name: Preset) -> SlamParams:
+    """``default``: what this product does. ``paper``: the letter of the paper's algorithms
+    (one candidate, plain norm, nearest layer, point-to-point ICP, union of scans, e_max alone),
+    so that both can be measured."""
+    if name == "default":
+        return SlamParams()
+    return SlamParams(
+        map=MapParams(cell_m=0.01, thin=False, vanish_ratio=math.inf),
+        rdnm=RdnmParams(layer_m=0.3, shorter_m=100.0, longer_m=100.0, unseen_m=0.0, rotations=1),
+        icp=IcpParams(metric="point", max_iterations=50, kernel_m=1.0, reach_m=1.0),
+        absolute_candidates=1,
+        local_candidates=1,
+        e_max_m=0.15,
+        min_inliers=0.0,
+        max_conflict=1.0,
+        min_known=0.0,
+        relative_margin=0.0,
+        absolute_margin=0.0,
+    )

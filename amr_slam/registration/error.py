@@ -1,0 +1,23 @@
+"""How well two point sets lie on each other: e_psr, equation 1 of the paper."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from amr_slam.geometry import Array
+
+
+def e_psr(source_m: Array, target: cKDTree, threshold_m: float = 1.0) -> float:
+    """Mean distance (m) from each source point (n, 2) to its nearest target point.
+
+    Only distances below ``threshold_m`` (the paper's epsilon, 1 m) count, so that a scan that
+    is a subset of the map is judged by what both have. inf where none is near. (Eq. 1.)
+    """
+    if not len(source_m) or not target.n:
+        return math.inf
+    distance = np.asarray(target.query(source_m, distance_upper_bound=threshold_m)[0])
+    near = distance[np.isfinite(distance)]
+    return float(near.mean()) if len(near) else math.inf
