@@ -210,6 +210,40 @@ def test_a_telegram_cut_short_does_not_delay_the_next() -> None:
     assert reader.damaged == 1
 
 
+@pytest.mark.parametrize("lost", [7, 8, 11, 12, 21, 22, 23, 300])
+def test_lost_bytes_make_no_scan_even_when_the_crc_agrees_by_chance(lost: int) -> None:
+    first, second = bytearray(encode(make(1, beams=541))), encode(make(2, beams=541))
+    joined = bytearray(first[: 1108 - lost] + second[:lost])
+    crc = int.from_bytes(joined[-2:], "little")
+    for word in range(65536):  # the one word that makes the wrong CRC right
+        joined[100:102] = word.to_bytes(2, "little")
+        if crc16(joined[4:-2]) == crc:
+            break
+    assert crc16(joined[4:-2]) == crc
+    got = TelegramReader(541).feed(bytes(joined) + second[lost:])
+    assert [one.scan_number[0] for one in got] == [2]
+
+
+def test_the_other_length_rule_does_not_cut_a_telegram_even_when_its_crc_agrees() -> None:
+    telegram = make(1, beams=541, version=0x0103)
+    for word in range(65536):
+        payload = telegram.payload[:100] + word.to_bytes(2, "little") + telegram.payload[102:]
+        raw = encode(replace(telegram, payload=payload), 14)
+        if crc16(raw[4:1100]) == int.from_bytes(raw[1100:1102], "little"):
+            break
+    assert crc16(raw[4:1100]) == int.from_bytes(raw[1100:1102], "little")
+    (got,) = TelegramReader(541).feed(raw)
+    assert len(measured_words(got, 541)) == 541
+
+
+def test_a_damaged_size_does_not_delay_the_next_telegram() -> None:
+    wrong = bytearray(encode(make(1, beams=541)))
+    wrong[6:8] = (1900).to_bytes(2, "big")
+    reader = TelegramReader(541)
+    assert reader.feed(bytes(wrong)) == []  # it may become a telegram of 3804 bytes
+    assert len(reader.feed(encode(make(2, beams=541)))) == 1
+
+
 def test_an_endless_run_of_headers_is_read_in_linear_time() -> None:
     header = encode(make(1, beams=541))[:22]
     reader = TelegramReader(541)

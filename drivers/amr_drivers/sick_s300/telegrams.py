@@ -5,8 +5,9 @@ else little-endian; the scan number's order differs between sources and is found
 (:class:`ScanCounter`).
 
 A damaged telegram passes a 16-bit CRC once in 65 536 times. So that it does not become a scan, a
-telegram must also have a known address, version and output, a length that its size field allows, no
-further telegram's header within it, and exactly the number of values that the field of view has.
+telegram must also have a known address, version and output, a length that its size field allows,
+nothing of the next telegram's header within it, and exactly the number of values that the field of
+view has. What is left are changed or added bytes among the values that happen to keep the CRC.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ MAX_LENGTH = 4096
 MIN_LENGTH = 28
 _HEAD = 22
 """Bytes up to and with the output id."""
+_SAME = 12
+"""Leading bytes that are the same in all telegrams of one scanner."""
 _MEASURED_HEAD = 24
 _CRC = 2
 _UNCHECKED = 4
@@ -244,9 +247,17 @@ class TelegramReader:
             if len(buffer) < length:
                 return None
             crc = int.from_bytes(buffer[length - _CRC : length], "little")
-            if crc16(buffer[_UNCHECKED : length - _CRC]) == crc:
+            if crc16(buffer[_UNCHECKED : length - _CRC]) == crc and not self._runs_on(length):
                 return length
         return 0
+
+    def _runs_on(self, length: int) -> bool:
+        """True when the bytes end in the beginning of the next header: some before it are lost.
+
+        Less than the zeros and a byte of the size proves nothing: values and CRCs end in zeros.
+        """
+        tail, head = self._buffer[length - _HEAD : length], bytes(self._buffer[:_SAME])
+        return head in tail or any(tail.endswith(head[:n]) for n in range(7, _SAME))
 
     def _candidates(self) -> list[int]:
         size = int.from_bytes(self._buffer[6:8], "big")
