@@ -20,8 +20,16 @@ from typing import Any, Protocol, cast
 
 from amr_slam.samples import OdometrySource, Scanner
 
-_SCANNERS = {"sick_s300": "amr_drivers.sick_s300.driver"}
-_ODOMETRY = {"can": "amr_drivers.can_odometry.driver"}
+_SCANNERS = {
+    "mock": "amr_drivers.mock.scanner",
+    "replay": "amr_drivers.replay.scanner",
+    "sick_s300": "amr_drivers.sick_s300.driver",
+}
+_ODOMETRY = {
+    "can": "amr_drivers.can_odometry.driver",
+    "mock": "amr_drivers.mock.odometry",
+    "replay": "amr_drivers.replay.odometry",
+}
 
 
 class ScannerModule(Protocol):

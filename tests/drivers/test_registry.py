@@ -1,9 +1,11 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
+from typing import Annotated, Literal, get_args, get_origin, get_type_hints
 
 import pytest
 
@@ -21,6 +23,29 @@ def test_every_driver_of_the_table_can_be_opened_by_its_contract() -> None:
         assert callable(odometry.open_odometry)
     assert "sick_s300" in registry.scanner_names()
     assert "can" in registry.odometry_names()
+
+
+def plain(kind: object) -> bool:
+    """Whether the configuration can check a setting of this type generically."""
+    if get_origin(kind) is Annotated:
+        return plain(get_args(kind)[0])
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return all(plain(hint) for hint in get_type_hints(kind, include_extras=True).values())
+    return kind in (str, int, float, bool) or get_origin(kind) is Literal
+
+
+@pytest.mark.parametrize("name", registry.scanner_names() + registry.odometry_names())
+def test_settings_are_plain_frozen_and_explained(name: str) -> None:
+    modules = []
+    if name in registry.scanner_names():
+        modules.append(registry.scanner_module(name).Settings)
+    if name in registry.odometry_names():
+        modules.append(registry.odometry_module(name).Settings)
+    for settings in modules:
+        assert plain(settings)
+        assert settings.__dataclass_params__.frozen
+        source = inspect.getsource(settings)
+        assert source.count('"""') >= 2 * (len(dataclasses.fields(settings)) - 1)
 
 
 def test_unknown_names_get_one_clear_error() -> None:

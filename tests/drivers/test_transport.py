@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from amr_drivers.emulators.pty_line import PtyLine
-from amr_drivers.errors import DriverError, LinkLost
+from amr_drivers.errors import DriverError, LinkLost, LinkTimeout
 from amr_drivers.transport import ByteStream
 
 DEADLINE_S = 10.0
@@ -64,6 +64,15 @@ def test_hang_up_is_link_lost(line: PtyLine) -> None:
 def test_what_cannot_be_opened_is_link_lost(port: str) -> None:
     with pytest.raises(LinkLost, match=port):
         ByteStream(port, 500_000)
+
+
+def test_a_converter_that_does_not_answer_is_a_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_answer(*_: object, **__: object) -> socket.socket:
+        raise TimeoutError("timed out")
+
+    monkeypatch.setattr(socket, "create_connection", no_answer)
+    with pytest.raises(LinkTimeout, match="timed out"):
+        ByteStream("socket://192.0.2.1:4001", 500_000)
 
 
 def test_an_impossible_port_is_a_mistake_in_the_settings() -> None:
