@@ -143,9 +143,12 @@ def test_a_frozen_scanner_gives_no_scan_but_says_so(scanner: EmulatedS300) -> No
 
 
 def test_other_telegrams_are_named_instead_of_scans(scanner: EmulatedS300) -> None:
+    def said_while(send: Callable[[], object], text: str) -> Callable[[], bool]:
+        return lambda: (send(), text in str(driver.status()[1]))[1]
+
     driver = opened(scanner, silence_s=0.05, device_address="guest")
-    scanner.send(RANGES)
-    until(lambda: "only telegrams of device address 07" in str(driver.status()[1]))
+    until(said_while(lambda: scanner.send(RANGES), "only telegrams of device address 07"))
+    until(lambda: "only" not in str(driver.status()[1]))
     driver.close()
     driver = opened(scanner, silence_s=0.05)
     in_out = Telegram(
@@ -157,8 +160,7 @@ def test_other_telegrams_are_named_instead_of_scans(scanner: EmulatedS300) -> No
         output=Output.IO,
         payload=bytes(8),
     )
-    scanner.send_bytes(encode(in_out))
-    until(lambda: "only telegrams of io" in str(driver.status()[1]))
+    until(said_while(lambda: scanner.send_bytes(encode(in_out)), "only telegrams of io"))
     driver.close()
     driver = opened(scanner, beams=381, field_of_view_deg=190.0)
     scanner.send(RANGES)

@@ -16,7 +16,6 @@ from amr_drivers.sick_s300.telegrams import (
     LENGTH_RULES,
     MAX_LENGTH,
     Output,
-    ScanCounter,
     Telegram,
     TelegramReader,
     crc16,
@@ -28,6 +27,7 @@ from amr_drivers.sick_s300.telegrams import (
     standby_words,
     words_from_ranges,
 )
+from amr_drivers.sick_s300.timing import ScanCounter
 
 BEAMS = 40  # short telegrams let hypothesis hit every byte
 RULES = [(version, rule) for version, rules in LENGTH_RULES.items() for rule in rules]

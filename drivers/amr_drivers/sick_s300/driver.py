@@ -15,14 +15,13 @@ from amr_drivers.errors import BadTelegram, DriverError, LinkLost
 from amr_drivers.sick_s300.telegrams import (
     RANGE_MAX_M,
     Output,
-    ScanCounter,
     Telegram,
     TelegramReader,
     is_standby,
     measured_words,
     ranges_from_words,
 )
-from amr_drivers.sick_s300.timing import ArrivalClock
+from amr_drivers.sick_s300.timing import ArrivalClock, ScanCounter
 from amr_drivers.transport import ByteStream
 from amr_slam.samples import DeviceInfo, Scan
 
@@ -50,7 +49,8 @@ class Settings:
     latency_limit_s: Annotated[float, Gt(0), Le(1)] = 0.1
     """Longest delay of a telegram in adapter and scheduler. Later ones are old and are dropped."""
     silence_s: Annotated[float, Gt(0)] = 0.5
-    """Without a telegram for so long, the scanner counts as silent; an older scan is not given."""
+    """Without a telegram for so long, or for 2.5 of its periods where that is more, the scanner
+    counts as silent; an older scan is not given."""
 
 
 def open_scanner(name: str, settings: Settings) -> S300:
@@ -80,7 +80,7 @@ class S300:
         self._hindrance: str | None = None
         self._heard_ns = time.monotonic_ns()
         self._heard: Telegram | None = None
-        self._other: str | None = None
+        self._other: tuple[str, int] | None = None
         self._refused = 0
         self._late = 0
         self._arrivals: deque[tuple[int, int]] = deque()
@@ -119,11 +119,13 @@ class S300:
         errors = self._reader.damaged + self._refused + self._late
         if self._fault is not None:
             return errors, str(self._fault)
-        silent_s = (time.monotonic_ns() - self._heard_ns) * 1e-9
-        if silent_s > self._silence_s:
-            only = f"; only {self._other} come" if self._other else ""
-            return errors, f"no measured values for {silent_s:.1f} s{only}"
-        return errors, self._hindrance
+        now_ns, limit_s, other = time.monotonic_ns(), self._silence_s, self._other
+        silent_s = (now_ns - self._heard_ns) * 1e-9
+        if silent_s <= limit_s:
+            return errors, self._hindrance
+        recent = other is not None and now_ns - other[1] < 1e9 * limit_s
+        only = f"; only {other[0]} come" if other and recent else ""
+        return errors, f"no measured values for {silent_s:.1f} s{only}"
 
     def close(self) -> None:
         self._stream.close()
@@ -131,9 +133,10 @@ class S300:
 
     @property
     def _silence_s(self) -> float:
-        """The setting, and twice the time that a telegram needs on a slow line."""
+        """The setting and twice the wire time of a telegram, or more from a slower scanner."""
         bits = 10 * (2 * self._settings.beams + 26)
-        return self._settings.silence_s + 2.0 * bits / self._settings.baud_rate
+        set_s = self._settings.silence_s + 2.0 * bits / self._settings.baud_rate
+        return max(set_s, 2.5 * (self._clock.period_s or 0.0))
 
     def _listen(self) -> None:
         """The thread: bytes -> telegrams -> the newest scan, until the port is gone or closed."""
@@ -161,9 +164,9 @@ class S300:
         self._arrivals.append((self._reader.position, now_ns))
         for telegram in self._reader.feed(data):
             if telegram.address != _ADDRESSES[self._settings.device_address]:
-                self._other = f"telegrams of device address {telegram.address:02d}"
+                self._other = f"telegrams of device address {telegram.address:02d}", now_ns
             elif telegram.output is not Output.MEASURED:
-                self._other = f"telegrams of {telegram.output.name.lower()}"
+                self._other = f"telegrams of {telegram.output.name.lower()}", now_ns
             else:
                 self._heard, self._heard_ns = telegram, now_ns
                 self._hear(telegram, self._arrival_ns(telegram.offset))

@@ -2,7 +2,7 @@
 
 Source: protocol fact sheet, sections A.2 to A.5 and A.8. Sizes are big-endian words, everything
 else little-endian; the scan number's order differs between sources and is found from the stream
-(:class:`ScanCounter`).
+(:class:`amr_drivers.sick_s300.timing.ScanCounter`).
 
 A damaged telegram passes a 16-bit CRC once in 65 536 times. So that it does not become a scan, a
 telegram must also have a known address, version and output, a length that its size field allows,
@@ -16,7 +16,6 @@ import binascii
 import enum
 import re
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,7 +70,7 @@ class Telegram:
     status: int
     """0 normal, 1 lock-out."""
     scan_number: bytes
-    """Four bytes as sent; :class:`ScanCounter` reads them."""
+    """Four bytes as sent; their order is found from the stream."""
     telegram_number: bytes
     """Two bytes as sent."""
     output: Output
@@ -297,37 +296,3 @@ class TelegramReader:
     def _drop(self, count: int) -> None:
         del self._buffer[:count]
         self._offset += count
-
-
-class ScanCounter:
-    """Reads the scan number, whose byte order the sources disagree about (A.2).
-
-    In consecutive telegrams the number grows by little: the order in which it does is the right
-    one. A number that later grows by little in the other order only changes the verdict.
-    """
-
-    def __init__(self) -> None:
-        self._last: bytes | None = None
-        self._order: _Order | None = None
-
-    def repeats(self, raw: bytes) -> bool:
-        """True when these bytes are the last telegram's: a scanner that does not scan anew."""
-        return raw == self._last
-
-    def read(self, raw: bytes) -> int | None:
-        """The number in four bytes as sent; None while the order is not known."""
-        if self._last is not None:
-            little, big = (0 < _step(self._last, raw, order) <= _MAX_STEP for order in _ORDERS)
-            if little != big:
-                self._order = "little" if little else "big"
-        self._last = raw
-        return None if self._order is None else int.from_bytes(raw, self._order)
-
-
-_Order = Literal["little", "big"]
-_ORDERS: tuple[_Order, _Order] = ("little", "big")
-_MAX_STEP = 1000
-
-
-def _step(last: bytes, raw: bytes, order: _Order) -> int:
-    return (int.from_bytes(raw, order) - int.from_bytes(last, order)) % 2**32

@@ -1,4 +1,4 @@
-"""When a scan was measured, from when its telegram arrived.
+"""Scan numbers, and when a scan was measured from when its telegram arrived. Pure.
 
 A telegram can arrive late (USB adapters hold bytes back, threads wait) but never early. The
 scanner's mirror turns evenly and its scan number counts the turns, so that all arrivals lie on or
@@ -8,6 +8,7 @@ above a line over the scan number; the lowest ones tell where the line is (fact 
 from __future__ import annotations
 
 from collections import deque
+from typing import Literal
 
 import numpy as np
 
@@ -35,11 +36,12 @@ class ArrivalClock:
         self._arrivals: deque[tuple[int, int]] = deque(maxlen=_WINDOW)
         self._doubtful: tuple[int, int] | None = None
         self._doubts = 0
+        self._period_ns: float | None = None
 
     @property
     def period_s(self) -> float | None:
-        """The measured time between scan numbers; None before the second arrival."""
-        return self._line()[0] * 1e-9 if len(self._arrivals) > 1 else None
+        """The measured time between scan numbers; None before the second arrival. Any thread."""
+        return None if self._period_ns is None else 1e-9 * self._period_ns
 
     def refine(self, number: int, arrival_ns: int) -> int | None:
         """When the telegram would have arrived without delay, in ns of the same clock.
@@ -55,7 +57,8 @@ class ArrivalClock:
             return self._doubt(number, arrival_ns)
         self._doubtful, self._doubts = None, 0
         self._arrivals.append((last_number + step, arrival_ns))
-        return arrival_ns + round(self._line()[1])
+        self._period_ns, height_ns = self._line()
+        return arrival_ns + round(height_ns)
 
     def _line(self) -> tuple[float, float]:
         """Period in ns, and the line's height over the newest arrival in ns (never above 0)."""
@@ -85,9 +88,8 @@ class ArrivalClock:
         if before is None:
             return None
         step = (number - before[0]) % _NUMBERS
-        period_ns = 1e9 * (self.period_s or 0.0)
         # A backlog comes in far faster than it was measured.
-        live = arrival_ns - before[1] > 0.5 * step * period_ns
+        live = arrival_ns - before[1] > 0.5 * step * (self._period_ns or 0.0)
         if 0 < step <= _MAX_STEP and (live or self._doubts > _MAX_DOUBTFUL):
             return self._start(number, arrival_ns)
         return None
@@ -102,3 +104,36 @@ class ArrivalClock:
 def _slope(x: Array, y: Array) -> float:
     spread = x - x.mean()
     return float(spread @ y / (spread @ spread))
+
+
+class ScanCounter:
+    """Reads the scan number, whose byte order the sources disagree about (A.2).
+
+    In consecutive telegrams the number grows by little: the order in which it does is the right
+    one. A number that later grows by little in the other order only changes the verdict.
+    """
+
+    def __init__(self) -> None:
+        self._last: bytes | None = None
+        self._order: _Order | None = None
+
+    def repeats(self, raw: bytes) -> bool:
+        """True when these bytes are the last telegram's: a scanner that does not scan anew."""
+        return raw == self._last
+
+    def read(self, raw: bytes) -> int | None:
+        """The number in four bytes as sent; None while the order is not known."""
+        if self._last is not None:
+            little, big = (0 < _step(self._last, raw, order) <= _MAX_STEP for order in _ORDERS)
+            if little != big:
+                self._order = "little" if little else "big"
+        self._last = raw
+        return None if self._order is None else int.from_bytes(raw, self._order)
+
+
+_Order = Literal["little", "big"]
+_ORDERS: tuple[_Order, _Order] = ("little", "big")
+
+
+def _step(last: bytes, raw: bytes, order: _Order) -> int:
+    return (int.from_bytes(raw, order) - int.from_bytes(last, order)) % 2**32
