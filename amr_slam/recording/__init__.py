@@ -5,12 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from amr_slam.recording.carmen import read_carmen
+from amr_slam.recording.native import RecordingWriter, read_native
 from amr_slam.recording.tum import read_tum, write_tum
 from amr_slam.recording.values import Log, RecordingError, Sample, Trajectory
 
 __all__ = [
     "Log",
     "RecordingError",
+    "RecordingWriter",
     "Sample",
     "Trajectory",
     "read_log",
@@ -18,14 +20,13 @@ __all__ = [
     "write_tum",
 ]
 
-_CARMEN_SUFFIXES = (".log", ".clf", ".log.gz", ".clf.gz", ".gz")
-
 
 def read_log(path: Path) -> Log:
-    """The recording in ``path``: CARMEN (.log, .clf, .gz of them), by the file's name.
-
-    Raises RecordingError when it is of another kind, damaged, or cannot be read.
+    """The recording in ``path``, by the file's name: native (.mcap) or CARMEN (.log, .clf, and
+    .gz of them). Raises RecordingError when it is of another kind, damaged, or cannot be read.
     """
-    if path.name.endswith(_CARMEN_SUFFIXES):
+    if path.suffix == ".mcap":
+        return read_native(path)
+    if path.suffix in {".log", ".clf", ".gz"}:
         return read_carmen(path)
-    raise RecordingError(f"{path}: not a log; known are .log, .clf and .gz of them")
+    raise RecordingError(f"{path}: not a log; known are .mcap, .log, .clf and .gz of these two")

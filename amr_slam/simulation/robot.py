@@ -125,14 +125,16 @@ class SimulatedRobot:
     def advance(self, v_mps: float, omega_radps: float) -> list[WheelSample | Scan]:
         """Drive for one wheel period by a command (forward and turning speed).
 
-        Returns the scans whose sweeps ended in it, then the wheel sample at its end.
+        Returns the scans whose sweeps ended in it, then the wheel sample at its end; the first
+        call also the wheel sample at the start, before all.
         """
+        before = [self._wheel_sample()] if self._stamp_ns == self._start_ns else []
         dt_s = 1e-9 * WHEEL_PERIOD_NS
         self._people.walk(dt_s, self._pose.translation)
         self._drive(v_mps, omega_radps, dt_s)
         self._stamp_ns += WHEEL_PERIOD_NS
         self._remember()
-        return [*self._finished_scans(), self._wheel_sample()]
+        return [*before, *self._finished_scans(), self._wheel_sample()]
 
     def _drive(self, v_mps: float, omega_radps: float, dt_s: float) -> None:
         vehicle = self._vehicle

@@ -1,0 +1,230 @@
+"""The JSON messages of native recordings: samples to bytes and back, exactly.
+
+Scans and poses carry the fields of Foxglove's well-known schemas, so that its tools draw them,
+and beside these our own, so that nothing is lost. Numbers survive to the last bit.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+
+from amr_slam.geometry import Pose2
+from amr_slam.recording.values import Sample
+from amr_slam.samples import OdometrySample, Scan, WheelSample
+
+MESSAGE_BOUND_BYTES = 1 << 20
+_BEAMS_BOUND = 20_000
+_COUNT_BOUND = 1 << 62
+_SECOND_NS = 1_000_000_000
+
+# Parsed JSON: what it holds is checked field by field.
+Fields = dict[str, Any]
+
+
+def _schema(title: str, required: Fields, optional: Fields | None = None) -> bytes:
+    schema = {
+        "title": title,
+        "type": "object",
+        "properties": required | (optional or {}),
+        "required": list(required),
+    }
+    return json.dumps(schema, separators=(",", ":")).encode("ascii")
+
+
+_NUMBER = {"type": "number"}
+_INTEGER = {"type": "integer"}
+_STRING = {"type": "string"}
+_TIME = {
+    "type": "object",
+    "title": "time",
+    "properties": {"sec": _INTEGER, "nsec": _INTEGER},
+}
+_POSE = {
+    "type": "object",
+    "title": "foxglove.Pose",
+    "properties": {
+        "position": {"type": "object", "properties": dict.fromkeys("xyz", _NUMBER)},
+        "orientation": {"type": "object", "properties": dict.fromkeys("xyzw", _NUMBER)},
+    },
+}
+_NUMBERS = {"type": "array", "items": _NUMBER}
+_INTEGERS = {"type": "array", "items": _INTEGER}
+
+SCAN_SCHEMA = "foxglove.LaserScan"
+POSE_SCHEMA = "foxglove.PoseInFrame"
+WHEELS_SCHEMA = "amr_slam.WheelSample"
+SCHEMAS = {
+    SCAN_SCHEMA: _schema(
+        SCAN_SCHEMA,
+        {
+            "timestamp": _TIME,
+            "frame_id": _STRING,
+            "pose": _POSE,
+            "start_angle": _NUMBER,
+            "end_angle": _NUMBER,
+            "ranges": _NUMBERS,
+            "intensities": _NUMBERS,
+            "angle_step": _NUMBER,
+            "sweep": _NUMBER,
+            "no_return": _INTEGERS,
+        },
+        {"range_max": _NUMBER, "seq": _INTEGER},
+    ),
+    POSE_SCHEMA: _schema(
+        POSE_SCHEMA,
+        {"timestamp": _TIME, "frame_id": _STRING, "pose": _POSE, "theta": _NUMBER},
+        {"segment": _INTEGER},
+    ),
+    WHEELS_SCHEMA: _schema(
+        WHEELS_SCHEMA,
+        {"timestamp": _TIME, "left_rad": _NUMBER, "right_rad": _NUMBER, "segment": _INTEGER},
+    ),
+}
+
+
+def encode(sample: Sample) -> tuple[str, str, bytes]:
+    """(topic, schema, message) of a sample."""
+    if isinstance(sample, Scan):
+        return f"/scan/{sample.scanner}", SCAN_SCHEMA, _bytes(_scan_fields(sample))
+    if isinstance(sample, OdometrySample):
+        fields = _pose_fields(sample.stamp_ns, "odom", sample.odom_from_base)
+        return "/odometry", POSE_SCHEMA, _bytes(fields | {"segment": sample.segment})
+    fields = {
+        "timestamp": _time(sample.stamp_ns),
+        "left_rad": sample.left_rad,
+        "right_rad": sample.right_rad,
+        "segment": sample.segment,
+    }
+    return "/wheels", WHEELS_SCHEMA, _bytes(fields)
+
+
+def encode_truth(stamp_ns: int, map_from_base: Pose2) -> tuple[str, str, bytes]:
+    """(topic, schema, message) of where the robot really was."""
+    return "/truth", POSE_SCHEMA, _bytes(_pose_fields(stamp_ns, "map", map_from_base))
+
+
+def _bytes(fields: Fields) -> bytes:
+    return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode("ascii")
+
+
+def _scan_fields(scan: Scan) -> Fields:
+    """No measurement and no return are both 0 in ``ranges``; ``no_return`` lists the latter."""
+    ranges = np.where(np.isfinite(scan.ranges_m), scan.ranges_m, 0.0)
+    last_rad = scan.angle_min_rad + scan.angle_step_rad * (len(ranges) - 1)
+    fields: Fields = {
+        "timestamp": _time(scan.stamp_ns),
+        "frame_id": scan.scanner,
+        "pose": _pose(Pose2.identity()),
+        "start_angle": scan.angle_min_rad,
+        "end_angle": last_rad,
+        "ranges": ranges.tolist(),
+        "intensities": [],
+        "angle_step": scan.angle_step_rad,
+        "sweep": scan.sweep_s,
+        "no_return": np.flatnonzero(np.isposinf(scan.ranges_m)).tolist(),
+    }
+    if math.isfinite(scan.range_max_m):
+        fields["range_max"] = scan.range_max_m
+    if scan.seq is not None:
+        fields["seq"] = scan.seq
+    return fields
+
+
+def _pose_fields(stamp_ns: int, frame: str, frame_from_base: Pose2) -> Fields:
+    return {
+        "timestamp": _time(stamp_ns),
+        "frame_id": frame,
+        "pose": _pose(frame_from_base),
+        "theta": frame_from_base.theta_rad,
+    }
+
+
+def decode(schema: str, data: bytes) -> Sample | tuple[int, Pose2]:
+    """A scan, odometry or wheel sample, or (stamp in ns, pose) of a pose without a segment.
+
+    Raises ValueError, KeyError, TypeError, OverflowError or RecursionError on anything else.
+    """
+    if len(data) > MESSAGE_BOUND_BYTES:
+        raise ValueError(f"message of {len(data)} bytes")
+    fields = json.loads(data)
+    if not isinstance(fields, dict):
+        raise TypeError("message is not a JSON object")
+    stamp_ns = _stamp(fields["timestamp"])
+    if schema == SCAN_SCHEMA:
+        return _scan(fields, stamp_ns)
+    if schema == WHEELS_SCHEMA:
+        return WheelSample(
+            stamp_ns=stamp_ns,
+            left_rad=_number(fields["left_rad"]),
+            right_rad=_number(fields["right_rad"]),
+            segment=_integer(fields["segment"]),
+        )
+    if schema != POSE_SCHEMA:
+        raise ValueError(f"unknown schema {schema!r}")
+    position = fields["pose"]["position"]
+    pose = Pose2(_number(position["x"]), _number(position["y"]), _number(fields["theta"]))
+    if "segment" not in fields:
+        return stamp_ns, pose
+    return OdometrySample(
+        stamp_ns=stamp_ns, odom_from_base=pose, segment=_integer(fields["segment"])
+    )
+
+
+def _scan(fields: Fields, stamp_ns: int) -> Scan:
+    raw, no_return = fields["ranges"], fields["no_return"]
+    if not isinstance(raw, list) or not isinstance(no_return, list) or len(raw) > _BEAMS_BOUND:
+        raise ValueError("ranges are no list of a possible length")
+    ranges = np.array([_number(value) for value in raw], dtype=np.float64)
+    ranges[~(ranges > 0.0)] = np.nan
+    for index in no_return:
+        ranges[_integer(index, len(raw) - 1)] = np.inf
+    angle_step_rad, sweep_s = _number(fields["angle_step"]), _number(fields["sweep"])
+    if angle_step_rad <= 0.0 or sweep_s < 0.0:
+        raise ValueError(f"angle step of {angle_step_rad} rad, sweep of {sweep_s} s")
+    scanner = fields["frame_id"]
+    if not isinstance(scanner, str):
+        raise TypeError("frame_id is no text")
+    return Scan(
+        scanner=scanner,
+        stamp_ns=stamp_ns,
+        ranges_m=ranges,
+        angle_min_rad=_number(fields["start_angle"]),
+        angle_step_rad=angle_step_rad,
+        sweep_s=sweep_s,
+        range_max_m=_number(fields["range_max"]) if "range_max" in fields else math.inf,
+        seq=_integer(fields["seq"]) if "seq" in fields else None,
+    )
+
+
+def _time(stamp_ns: int) -> Fields:
+    seconds, rest_ns = divmod(stamp_ns, _SECOND_NS)
+    return {"sec": seconds, "nsec": rest_ns}
+
+
+def _stamp(time: Fields) -> int:
+    seconds, rest_ns = _integer(time["sec"]), _integer(time["nsec"], _SECOND_NS - 1)
+    return _integer(seconds * _SECOND_NS + rest_ns)
+
+
+def _pose(pose: Pose2) -> Fields:
+    half = 0.5 * pose.theta_rad
+    return {
+        "position": {"x": pose.x_m, "y": pose.y_m, "z": 0.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
+    }
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError(f"{value!r:.40} is not a finite number")
+    return float(value)
+
+
+def _integer(value: object, bound: int = _COUNT_BOUND) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= bound:
+        raise ValueError(f"{value!r:.40} is not a whole number from 0 to {bound}")
+    return value
