@@ -6,6 +6,7 @@ from pathlib import Path
 
 from amr_slam.recording.carmen import read_carmen
 from amr_slam.recording.native import RecordingWriter, read_native
+from amr_slam.recording.relations import Relations, read_relations
 from amr_slam.recording.tum import read_tum, write_tum
 from amr_slam.recording.values import Log, RecordingError, Sample, Trajectory
 
@@ -13,9 +14,11 @@ __all__ = [
     "Log",
     "RecordingError",
     "RecordingWriter",
+    "Relations",
     "Sample",
     "Trajectory",
     "read_log",
+    "read_relations",
     "read_tum",
     "write_tum",
 ]
