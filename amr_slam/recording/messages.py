@@ -18,7 +18,7 @@ from amr_slam.samples import OdometrySample, Scan, WheelSample
 
 MESSAGE_BOUND_BYTES = 1 << 20
 _BEAMS_BOUND = 20_000
-_COUNT_BOUND = 1 << 62
+_COUNT_BOUND = (1 << 63) - 1
 _SECOND_NS = 1_000_000_000
 
 # Parsed JSON: what it holds is checked field by field.
