@@ -57,7 +57,7 @@ class SimulatedRobot:
     """The truth, stepped by commands. Same arguments and commands: same samples, bit for bit.
 
     The start pose is the origin of the map: ``map_from_base`` begins at the identity. Nothing
-    ever drives through a wall or a person: the robot stops instead, and ``bumps`` counts walls.
+    ever drives through a wall or a person: the robot stops instead, and ``bumps`` counts each.
     """
 
     def __init__(
@@ -82,9 +82,10 @@ class SimulatedRobot:
             raise ValueError(f"sweeps must be shorter than {_HISTORY_S - 0.02} s and the period")
         motion, noise, walks = np.random.default_rng(seed).spawn(3)
         self._slip_rng, self._noise_rng = motion, noise
+        self._grid = ClearanceGrid.of(world)
         self._people = People(
             people,
-            ClearanceGrid.of(world),
+            self._grid,
             world_from_map.translation,
             self._vehicle.radius_m,
             walks,
@@ -172,9 +173,10 @@ class SimulatedRobot:
     def _fits(self, pose: Pose2) -> bool:
         """Free of walls and people, or at least not moving towards them."""
         here, there = self._pose.translation, pose.translation
-        clear = self._world.clearance(np.array([here, there]))
-        if clear[1] < self._vehicle.radius_m and clear[1] < clear[0]:
-            return False
+        if self._grid.at(there[None])[0] < self._vehicle.radius_m + self._grid.cell_m:
+            clear = self._world.clearance(np.array([here, there]))
+            if clear[1] < self._vehicle.radius_m and clear[1] < clear[0]:
+                return False
         distance = np.hypot(*(self._people.positions_m - there).T)
         return not np.any(distance < self._vehicle.radius_m + PERSON_RADIUS_M)
 
