@@ -1,0 +1,63 @@
+"""``amr-slam ...``: the one place that maps errors to messages and exit status.
+
+0 success, 1 a failed operation, 2 bad arguments or configuration, 130 Ctrl-C. Results go to
+standard output or to the named files, the log and errors to standard error.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Sequence
+
+from amr_slam.cli.parser import MODULES, join_negative_values, make_parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Parse the arguments, do what they say, and return the exit status."""
+    arguments = make_parser().parse_args(
+        join_negative_values(sys.argv[1:] if argv is None else argv)
+    )
+    _log_to_stderr()
+    try:
+        return _run(arguments)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # Who read our output has seen enough; what is still buffered must not raise at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    # Imported here, not above: --help and refused arguments need none of it.
+    command = importlib.import_module(MODULES[arguments.command])
+    try:
+        status: int = command.run(arguments)
+        sys.stdout.flush()
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            return _refuse(f"{error.filename}: {error.strerror}", 1)
+        for kind, exit_status in command.FAILURES.items():
+            if isinstance(error, kind):
+                return _refuse(str(error), exit_status)
+        raise
+    return status
+
+
+def _refuse(message: str, status: int) -> int:
+    """One line, whatever names and values are in it."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
+    sys.stderr.write(f"amr-slam: error: {line}\n")
+    return status
+
+
+def _log_to_stderr() -> None:
+    # The journal writes its own time beside each line.
+    time = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "
+    logging.basicConfig(
+        stream=sys.stderr, level=logging.INFO, format=f"{time}%(levelname)s %(name)s: %(message)s"
+    )

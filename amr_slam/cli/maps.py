@@ -1,0 +1,89 @@
+"""``amr-slam map info|render|export``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import uuid
+from typing import Final
+
+import numpy as np
+
+from amr_slam.cli.outputs import UsageError, check_outputs, writing
+from amr_slam.map import MapError, PointMap, load_map
+from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
+from amr_slam.map.file import VERSION
+from amr_slam.recording import Trajectory, write_tum
+
+FAILURES: Final[dict[type[Exception], int]] = {UsageError: 2, MapError: 1}
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Load the map, then what is asked."""
+    if arguments.action != "info":
+        check_outputs(arguments.out, source=arguments.map)
+    known, map_id = load_map(arguments.map)
+    if arguments.action == "info":
+        _info(arguments, known, map_id)
+    elif arguments.action == "render":
+        _render(arguments, known)
+    else:
+        _export(arguments, known)
+    return 0
+
+
+def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> None:
+    x_min, y_min, x_max, y_max = known.bounds()
+    facts = {
+        "uuid": str(map_id),
+        "name": known.name,
+        "format": VERSION,
+        "bytes": arguments.map.stat().st_size,
+        "scans": len(known.path),
+        "points": len(known),
+        "area_m2": round(known.area_m2(), 3),
+        "bounds_m": [round(bound, 3) for bound in (x_min, y_min, x_max, y_max)],
+    }
+    if arguments.json:
+        sys.stdout.write(json.dumps(facts) + "\n")
+        return
+    facts["area_m2"] = f"{known.area_m2():.1f} (floor seen free)"
+    facts["bounds_m"] = f"x {x_min:.2f} to {x_max:.2f}, y {y_min:.2f} to {y_max:.2f}"
+    for name, value in facts.items():
+        sys.stdout.write(f"{name:10}{value}\n")
+
+
+def _render(arguments: argparse.Namespace, known: PointMap) -> None:
+    from amr_slam.pictures import draw_map  # noqa: PLC0415 - half a second, for pictures only
+
+    path = np.array([pose.as_array()[:2] for _, pose in known.path]).reshape(-1, 2)
+    title = f"{known.name}: {known.area_m2():.0f} m² of floor, {len(known.path)} scans"
+    with writing(arguments.out) as out:
+        draw_map(known, [("path of the scans", path)], out, title)
+
+
+def _export(arguments: argparse.Namespace, known: PointMap) -> None:
+    with writing(arguments.out) as out:
+        match out.suffix:
+            case ".pgm":
+                image, described = write_occupancy(known, out)
+                rows, columns = image.pixels.shape
+                said = f"{columns} x {rows} pixels of {image.resolution_m:g} m, and {described}"
+            case ".csv":
+                said = f"{write_points_csv(known, out)} points"
+            case ".ply":
+                said = f"{write_points_ply(known, out)} points"
+            case _:
+                write_tum(out, _path(known))
+                said = f"{len(known.path)} poses"
+    sys.stdout.write(f"{arguments.out}: {said}\n")
+
+
+def _path(known: PointMap) -> Trajectory:
+    """In the order of time: a map that went on in an older recording's time is not in it."""
+    ordered = sorted(known.path, key=lambda entry: entry[0])
+    return Trajectory(
+        stamps_ns=np.array([stamp for stamp, _ in ordered], dtype=np.int64),
+        poses=np.array([pose.as_array() for _, pose in ordered]).reshape(-1, 3),
+    )

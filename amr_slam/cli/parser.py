@@ -1,0 +1,278 @@
+"""The commands' arguments. Standard library only, so that ``--help`` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final, NoReturn
+
+MODULES: Final = {
+    "run": "amr_slam.cli.daemon",
+    "check": "amr_slam.cli.daemon",
+    "replay": "amr_slam.cli.replaying",
+    "localize": "amr_slam.cli.localizing",
+    "map": "amr_slam.cli.maps",
+    "watch": "amr_slam.cli.fleet",
+}
+"""Where a command is done: a module with ``run(arguments) -> status`` and ``FAILURES``, the
+exceptions that end it with one line, each with its exit status."""
+
+LOG_HELP: Final = "native recording (.mcap) or CARMEN log (.log, .clf, .gz of these)"
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses arguments in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        sys.stderr.write(f"amr-slam: error: {message} (see {self.prog} --help)\n")
+        sys.exit(2)
+
+
+Subparsers = argparse._SubParsersAction  # noqa: SLF001 - argparse has no public name for it
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The whole command line."""
+    parser = _Parser(
+        prog="amr-slam",
+        description="Localization for mobile robots from safety laser scanners and wheels.",
+        epilog="example: amr-slam replay run.mcap --config robot.toml --map-out hall.amrmap",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"amr-slam {version('amr-slam')}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _add_daemon(commands)
+    _add_replay(commands)
+    _add_localize(commands)
+    _add_map(commands)
+    _add_watch(commands)
+    return parser
+
+
+def join_negative_values(argv: Sequence[str]) -> list[str]:
+    """``--lidar -0.2,0,180`` as ``--lidar=-0.2,0,180``: argparse takes the former for options."""
+    joined: list[str] = []
+    for argument in argv:
+        if joined and joined[-1] == "--lidar" and argument[:1] == "-" and "," in argument:
+            joined[-1] = f"--lidar={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
+def _command(
+    commands: Subparsers[_Parser], name: str, summary: str, example: str, details: str = ""
+) -> _Parser:
+    return commands.add_parser(
+        name,
+        help=summary,
+        description=f"{summary[0].upper()}{summary[1:]}. {details}".rstrip(),
+        epilog=f"example: {example}",
+        allow_abbrev=False,
+    )
+
+
+def _add_daemon(commands: Subparsers[_Parser]) -> None:
+    run = _command(
+        commands,
+        "run",
+        "the daemon, in the foreground, as systemd starts it",
+        "amr-slam run --config /etc/amr-slam/amr7.toml",
+    )
+    check = _command(
+        commands,
+        "check",
+        "validates a configuration",
+        "amr-slam check --config amr7.toml --probe",
+        "Says what is wrong with it in one line, by file and key.",
+    )
+    for parser in (run, check):
+        parser.add_argument("--config", metavar="FILE", type=Path, required=True, help="TOML")
+    check.add_argument(
+        "--probe", action="store_true", help="open every device and say what it sees"
+    )
+
+
+def _add_replay(commands: Subparsers[_Parser]) -> None:
+    replay = _command(
+        commands,
+        "replay",
+        "the whole pipeline on a recording, as fast as it goes",
+        "amr-slam replay intel.log.gz --scan-period 2.0 --lidar 0,0,0 --out intel.tum "
+        "--map-out intel.amrmap",
+        "Deterministic: the same input gives the same bytes in every file that it writes.",
+    )
+    _add_log_and_robot(replay)
+    add = replay.add_argument
+    add("--map", metavar="MAP", type=Path, help="localize in this map")
+    add(
+        "--mapping",
+        action=argparse.BooleanOptionalAction,
+        help="let the map grow (default: only without --map; with it: go on with that map)",
+    )
+    add("--map-out", metavar="MAP", type=_path_ending(".amrmap"), help="save the grown map")
+    add(
+        "--keep",
+        metavar="N",
+        type=_count,
+        default=2,
+        help="older versions of --map-out to keep beside it (default 2)",
+    )
+    add(
+        "--out",
+        metavar="FILE.tum",
+        type=Path,
+        help="fused pose at every wheel sample, from nothing but what was known then",
+    )
+    add(
+        "--out-final",
+        metavar="FILE.tum",
+        type=Path,
+        help="the same stamps with each correction spread over the way between the scans",
+    )
+    add("--report", metavar="FILE.json", type=Path, help="counts, errors, and every scan's answer")
+
+
+def _add_localize(commands: Subparsers[_Parser]) -> None:
+    localize = _command(
+        commands,
+        "localize",
+        "each scan of a log on its own in a map: one JSON object a line",
+        "amr-slam localize --map hall.amrmap run.mcap --lidar 0.2,0,0",
+        "Fields: stamp (s), accepted (whether the pose may be used), x, y, theta (m, rad; the best "
+        "guess even where it is not accepted, null where there is none), covariance[9] and "
+        "error95_m (null where not accepted), score (mean fit of the points, 1 = all on walls), "
+        "ambiguity (score of the second best place / score of the best, 0 to 1; 1 where nothing "
+        "fits), second {x, y, theta, score} or null, reason (why not accepted) or null, elapsed_s.",
+    )
+    localize.add_argument("--map", metavar="MAP", type=Path, required=True, help="where to look")
+    _add_log_and_robot(localize)
+    localize.add_argument(
+        "--prior",
+        choices=("none", "previous"),
+        default="none",
+        help="previous: begin near the last accepted pose (default none: anywhere in the map)",
+    )
+
+
+def _add_log_and_robot(parser: _Parser) -> None:
+    add = parser.add_argument
+    add("log", metavar="LOG", type=Path, help=LOG_HELP)
+    parameters = parser.add_mutually_exclusive_group()
+    parameters.add_argument(
+        "--config", metavar="FILE", type=Path, help="the robot's TOML: drive, scanners, parameters"
+    )
+    parameters.add_argument(
+        "--preset", choices=("default", "paper"), default="default", help="parameters without one"
+    )
+    add(
+        "--scan-period",
+        metavar="S",
+        type=_seconds,
+        default=0.0,
+        help="at most one scan of each scanner in so many seconds (default 0: every scan)",
+    )
+    add(
+        "--lidar",
+        metavar="X,Y,THETA_DEG",
+        type=_mounting,
+        help="where every scanner of the log sits on the robot, in m and degrees",
+    )
+
+
+def _add_map(commands: Subparsers[_Parser]) -> None:
+    parser = _command(commands, "map", "what is in a map", "amr-slam map info hall.amrmap")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    info = _command(
+        actions, "info", "its identity and size", "amr-slam map info hall.amrmap --json"
+    )
+    info.add_argument("--json", action="store_true", help="as one JSON object")
+    render = _command(
+        actions,
+        "render",
+        "a picture of it",
+        "amr-slam map render hall.amrmap --out hall.png",
+        "Walls, the floor that was seen, and the path of the scans that it is made of.",
+    )
+    render.add_argument(
+        "--out", metavar="FILE", type=_path_ending(".png", ".svg"), required=True, help="PNG or SVG"
+    )
+    export = _command(
+        actions,
+        "export",
+        "into other programs' formats, by the file's ending",
+        "amr-slam map export hall.amrmap --out hall.pgm",
+        ".pgm: occupancy image with its YAML file beside it, for nav2's map server; .csv and .ply: "
+        "wall points with normals; .tum: the path of the scans that it is made of.",
+    )
+    export.add_argument(
+        "--out",
+        metavar="FILE",
+        type=_path_ending(".pgm", ".csv", ".ply", ".tum"),
+        required=True,
+        help="what to write",
+    )
+    for action in (info, render, export):
+        action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
+
+
+def _add_watch(commands: Subparsers[_Parser]) -> None:
+    watch = _command(
+        commands,
+        "watch",
+        "live table of the robots on Zenoh, until Ctrl-C",
+        "amr-slam watch --connect tcp/192.168.1.20:7447 amr7",
+        "One line a second and robot where standard output is no terminal.",
+    )
+    watch.add_argument(
+        "--connect",
+        metavar="ENDPOINT",
+        help="a robot's or router's Zenoh endpoint (default: this computer)",
+    )
+    watch.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
+
+
+# -- values ----------------------------------------------------------------------------------
+
+
+def _seconds(text: str) -> float:
+    return _finite(text, least=0.0)
+
+
+def _finite(text: str, least: float = -math.inf) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not (math.isfinite(number) and number >= least):
+        bound = "" if least == -math.inf else f" of at least {least:g}"
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number{bound}")
+    return number
+
+
+def _count(text: str) -> int:
+    if not (text.isdecimal() and len(text) <= 3):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 999")
+    return int(text)
+
+
+def _mounting(text: str) -> tuple[float, float, float]:
+    """x m, y m, theta degrees."""
+    fields = text.split(",")
+    if len(fields) != 3:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,THETA_DEG")
+    x_m, y_m, theta_deg = (_finite(field) for field in fields)
+    return x_m, y_m, theta_deg
+
+
+def _path_ending(*endings: str) -> Callable[[str], Path]:
+    def path(text: str) -> Path:
+        if Path(text).suffix not in endings:
+            raise argparse.ArgumentTypeError(f"{text!r} does not end in {' or '.join(endings)}")
+        return Path(text)
+
+    return path

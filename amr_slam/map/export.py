@@ -1,0 +1,126 @@
+"""The map in other programs' formats: occupancy image, points."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amr_slam.geometry import Array
+from amr_slam.map.file import MapError
+from amr_slam.map.pointmap import PointMap
+
+# Grey values of the map server's trinary mode: (255 - grey) / 255 against the two thresholds.
+OCCUPIED, UNKNOWN, FREE = 0, 205, 254
+_OCCUPIED_THRESHOLD, _FREE_THRESHOLD = 0.65, 0.196
+_MAX_PIXELS = 100_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OccupancyImage:
+    """The map as pixels: walls, seen floor, unknown."""
+
+    pixels: NDArray[np.uint8]
+    """(rows, columns) of OCCUPIED, FREE or UNKNOWN; the first row has the greatest y."""
+    resolution_m: float
+    """Side of a pixel."""
+    x_min_m: float
+    """Left edge in the map frame."""
+    y_min_m: float
+    """Lower edge in the map frame."""
+
+
+def occupancy_image(grown: PointMap, resolution_m: float | None = None) -> OccupancyImage:
+    """The map as pixels of ``resolution_m``, by default of one wall cell each.
+
+    Raises MapError beyond 100 million pixels.
+    """
+    resolution = resolution_m or grown.params.cell_m
+    walls = grown.target().points_m
+    seen_free = grown.space.sums[:, 0] > grown.space.sums[:, 1]
+    floor = _spread(grown.space.centres()[seen_free], grown.space.cell_m, resolution)
+    everything = np.concatenate([walls, floor])
+    if not len(everything):
+        everything = np.zeros((1, 2))
+    low = np.floor(everything.min(axis=0) / resolution) - 1.0
+    high = np.floor(everything.max(axis=0) / resolution) + 2.0
+    columns, rows = (int(side) for side in high - low)
+    if rows * columns > _MAX_PIXELS:
+        raise MapError(f"{columns} x {rows} pixels are more than an image may have")
+    pixels = np.full((rows, columns), UNKNOWN, dtype=np.uint8)
+    for points, grey in ((floor, FREE), (walls, OCCUPIED)):
+        column, row = (np.floor(points / resolution) - low).astype(np.int64).T
+        pixels[rows - 1 - row, column] = grey
+    return OccupancyImage(
+        pixels=pixels,
+        resolution_m=resolution,
+        x_min_m=float(low[0]) * resolution,
+        y_min_m=float(low[1]) * resolution,
+    )
+
+
+def _spread(centres: Array, cell_m: float, pixel_m: float) -> Array:
+    """Points (n, 2) no farther apart than a pixel over the whole of each cell."""
+    per_side = math.ceil(cell_m / pixel_m - 1e-9)
+    steps = ((np.arange(per_side) + 0.5) / per_side - 0.5) * cell_m
+    x, y = np.meshgrid(steps, steps)
+    offsets = np.column_stack([x.ravel(), y.ravel()])
+    spread: Array = (centres[:, None, :] + offsets[None, :, :]).reshape(-1, 2)
+    return spread
+
+
+def write_occupancy(grown: PointMap, path: Path) -> tuple[OccupancyImage, Path]:
+    """``path`` (.pgm) and the YAML file beside it, as nav2's map server reads them.
+
+    Returns the image and the YAML file's path. Raises MapError and OSError.
+    Source: nav2_map_server, map_io.cpp: keys of the YAML file and the trinary mode.
+    """
+    image = occupancy_image(grown)
+    rows, columns = image.pixels.shape
+    path.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + image.pixels.tobytes())
+    described = path.with_suffix(".yaml")
+    lines = [
+        f"image: {json.dumps(path.name)}",
+        "mode: trinary",
+        f"resolution: {image.resolution_m:g}",
+        f"origin: [{image.x_min_m:.6f}, {image.y_min_m:.6f}, 0.0]",
+        "negate: 0",
+        f"occupied_thresh: {_OCCUPIED_THRESHOLD}",
+        f"free_thresh: {_FREE_THRESHOLD}",
+    ]
+    described.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return image, described
+
+
+def write_points_csv(grown: PointMap, path: Path) -> int:
+    """Wall points in m and their unit normals (0 where unknown); returns how many.
+
+    Raises OSError.
+    """
+    rows = _points_and_normals(grown)
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        stream.write("x_m,y_m,normal_x,normal_y\n")
+        np.savetxt(stream, rows, fmt="%.4f", delimiter=",")
+    return len(rows)
+
+
+def write_points_ply(grown: PointMap, path: Path) -> int:
+    """The same as an ASCII PLY cloud at z = 0; returns the number of points. Raises OSError."""
+    rows = _points_and_normals(grown)
+    zeros = np.zeros((len(rows), 1))
+    names = ("x", "y", "z", "nx", "ny", "nz")
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        stream.write(f"ply\nformat ascii 1.0\nelement vertex {len(rows)}\n")
+        stream.writelines(f"property float {name}\n" for name in names)
+        stream.write("end_header\n")
+        np.savetxt(stream, np.hstack([rows[:, :2], zeros, rows[:, 2:], zeros]), fmt="%.4f")
+    return len(rows)
+
+
+def _points_and_normals(grown: PointMap) -> Array:
+    target = grown.target()
+    return np.hstack([target.points_m, target.normals])
