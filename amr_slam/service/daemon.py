@@ -1,0 +1,230 @@
+"""``amr-slam run``: start up, turn until a signal comes, shut down.
+
+Device threads and the SLAM process put what they have into one inbox; the loop takes it out, owns
+all state, and waits for nobody else: poses go on whatever a scanner, a search or a subscriber does.
+"""
+
+from __future__ import annotations
+
+import logging
+import queue
+import signal
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+from amr_slam.config import Config, ConfigError, load
+from amr_slam.localizer import Localizer, Sample
+from amr_slam.publishing import RobotPublisher
+from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.service.clocks import PoseSchedule
+from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+from amr_slam.service.reporting import Reporter
+from amr_slam.service.systemd import Notifier
+from amr_slam.service.worker import FromWorker, SlamWorker
+from amr_slam.slam_process import SlamJob
+
+_log = logging.getLogger(__name__)
+
+# Together below the 5 s in which a stop has to be done.
+_SAVE_LIMIT_S: Final = 3.5
+_CLOSE_LIMIT_S: Final = 1.0
+
+_Item = Scan | WheelSample | OdometrySample | DeviceEnded | FromWorker
+
+
+def run(config_path: Path) -> int:
+    """Localize until SIGTERM (0) or SIGINT (130).
+
+    Raises ConfigError, PublishingError, and RuntimeError where a driver failed in a way that no
+    driver may: systemd starts anew. A device that is missing is waited for.
+    """
+    config = load(config_path)
+    with ExitStack() as opened:  # whatever happens, what was opened is closed in reverse order
+        daemon = startup(config, config_path, opened)
+        exit_status = main_loop(daemon)
+        shutdown(daemon, opened)
+    return exit_status
+
+
+def startup(config: Config, config_path: Path, opened: ExitStack) -> Daemon:
+    """Everything is running, nothing is waited for: the first turns do that."""
+    stop_signal = _StopSignal()
+    opened.callback(stop_signal.restore)
+    inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
+    worker = SlamWorker(_job(config), inbox.put, config.service.answer_limit_s)
+    opened.callback(_stop_worker, worker, inbox)
+    publisher = opened.enter_context(RobotPublisher(config.zenoh, config.robot.name))
+    reconnect_max_s = config.service.reconnect_max_s
+    scanners = [ScannerThread(s, inbox.put, reconnect_max_s) for s in config.scanners]
+    wheels = WheelsThread(
+        config.odometry, inbox.put, reconnect_max_s, config.localizer.wheels_late_s
+    )
+    devices: list[ScannerThread | WheelsThread] = [wheels, *scanners]
+    opened.callback(_stop_devices, devices)
+    for device in devices:
+        device.start()
+    reporter = Reporter(config, publisher, worker, wheels, scanners)
+    return Daemon(config, config_path, inbox, worker, reporter, stop_signal)
+
+
+def main_loop(daemon: Daemon) -> int:
+    """Turn until a signal asks to stop; returns the exit status for it."""
+    while daemon.stop_signal.number is None:
+        daemon.turn()
+    return 0 if daemon.stop_signal.number == signal.SIGTERM else 128 + signal.SIGINT
+
+
+def shutdown(daemon: Daemon, opened: ExitStack) -> None:
+    """Devices, publisher and worker, in this order; the worker saves its map."""
+    _log.info("stopping")
+    daemon.notifier.stopping()
+    opened.close()
+
+
+class Daemon:
+    """The one owner of state; :meth:`turn` is all that it does."""
+
+    def __init__(
+        self,
+        config: Config,
+        config_path: Path,
+        inbox: queue.SimpleQueue[_Item],
+        worker: SlamWorker,
+        reporter: Reporter,
+        stop_signal: _StopSignal,
+    ) -> None:
+        self.notifier = Notifier()
+        self.stop_signal = stop_signal
+        self._config = config
+        self._config_path = config_path
+        self._inbox = inbox
+        self._worker = worker
+        self._reporter = reporter
+        self._is_ready = False
+        self._localizer = Localizer(
+            config.localizer,
+            config.fusion,
+            config.slam.clouds,
+            config.drive,
+            {scanner.name: scanner.mounting.mounting for scanner in config.scanners},
+            config.map.mode,
+        )
+        self._schedule = PoseSchedule(config.service.publish_hz, time.monotonic_ns())
+
+    def turn(self) -> None:
+        """Wait for what comes next, at most until a pose is due; take it in; tell the world."""
+        samples = self._sorted(self._take_out())
+        for sample in samples:
+            self._localizer.handle(sample)
+        self._hand_out_request()
+        now_ns = time.monotonic_ns()
+        self._worker.supervise(now_ns)
+        wheels_came = any(isinstance(s, WheelSample | OdometrySample) for s in samples)
+        if self._schedule.takes(now_ns, wheels_came=wheels_came):
+            self._reporter.publish_pose(self._localizer.estimate(now_ns))
+        summary = self._reporter.report(now_ns, self._localizer.outcomes)
+        self._notify(now_ns, summary)
+
+    def _take_out(self) -> list[_Item]:
+        items: list[_Item] = []
+        try:
+            items.append(self._inbox.get(timeout=self._schedule.wait_s(time.monotonic_ns())))
+            while True:
+                items.append(self._inbox.get_nowait())
+        except queue.Empty:
+            return items
+
+    def _sorted(self, items: Sequence[_Item]) -> list[Sample]:
+        samples: list[Sample] = []
+        for item in items:
+            if isinstance(item, DeviceEnded):
+                self._give_up(item)
+            elif not isinstance(item, FromWorker):
+                samples.append(item)
+            elif (answer := self._worker.hear(item)) is not None:
+                samples.append(answer)
+            elif item.message is None:
+                self._localizer.drop_request()
+        if self._worker.refusal is not None:
+            raise ConfigError(self._worker.refusal, ("map", "path"), self._config_path)
+        return sorted(samples, key=lambda sample: sample.stamp_ns)
+
+    def _give_up(self, ended: DeviceEnded) -> None:
+        if ended.unusable is None:
+            raise RuntimeError(f"{ended.name}: the driver has failed; its traceback stands above")
+        names = [scanner.name for scanner in self._config.scanners]
+        where = ("scanners", names.index(ended.name)) if ended.name in names else ("odometry",)
+        raise ConfigError(ended.unusable, (*where, "options"), self._config_path)
+
+    def _hand_out_request(self) -> None:
+        request = self._localizer.take_request()
+        if request is None:
+            return
+        if self._worker.idle:
+            self._worker.submit(request)
+        else:
+            self._localizer.drop_request()
+
+    def _notify(self, now_ns: int, summary: str | None) -> None:
+        if not self._is_ready and self._worker.ready:
+            self._is_ready = True
+            self.notifier.ready("running")
+        if summary is not None:
+            self.notifier.status(summary)
+        if self._worker.has_pulse(now_ns):
+            self.notifier.feed()
+
+
+class _StopSignal:
+    """Remembers that SIGTERM or SIGINT came, instead of what they would do."""
+
+    def __init__(self) -> None:
+        self.number: int | None = None
+        self._before = {n: signal.signal(n, self._note) for n in (signal.SIGTERM, signal.SIGINT)}
+
+    def restore(self) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        self.number = self.number or number
+
+
+def _job(config: Config) -> SlamJob:
+    mapping = config.map.mode == "mapping"
+    return SlamJob(
+        mode=config.map.mode,
+        params=config.slam,
+        source=None if mapping else config.map.path,
+        target=config.map.directory / f"{config.map.name}.amrmap" if mapping else None,
+        name=config.map.name,
+        save_period_s=config.service.save_period_s,
+    )
+
+
+def _stop_devices(devices: Sequence[ScannerThread | WheelsThread]) -> None:
+    for device in devices:
+        device.ask_to_stop()
+    deadline_s = time.monotonic() + _CLOSE_LIMIT_S
+    for device in devices:
+        device.join(max(0.0, deadline_s - time.monotonic()))
+
+
+def _stop_worker(worker: SlamWorker, inbox: queue.SimpleQueue[_Item]) -> None:
+    """Its last words are whether the map was saved."""
+    worker.stop(_SAVE_LIMIT_S)
+    for item in iter(partial(_next, inbox), None):
+        if isinstance(item, FromWorker):
+            worker.hear(item)
+
+
+def _next(inbox: queue.SimpleQueue[_Item]) -> _Item | None:
+    try:
+        return inbox.get_nowait()
+    except queue.Empty:
+        return None

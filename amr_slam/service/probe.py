@@ -1,0 +1,120 @@
+"""``amr-slam check``: is the configuration right, and are the devices there?"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from amr_slam.config import Config, ConfigError, load
+from amr_slam.map import MapError, load_map
+from amr_slam.samples import Link, OdometrySample, Scan, WheelSample
+from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+
+PROBE_S: Final = 5.0
+"""Two scans of the slowest scanner, and time to push the robot."""
+
+_Received = Scan | WheelSample | OdometrySample | DeviceEnded
+
+
+def check(config_path: Path, *, probe: bool) -> int:
+    """Validate, print a summary, and with ``probe`` what each device says within 5 s.
+
+    0: all is well; 1: a device is not there or measures nothing. Raises ConfigError.
+    """
+    config = load(config_path)
+    _print(_summary(config, config_path))
+    return _probe(config) if probe else 0
+
+
+def _summary(config: Config, config_path: Path) -> Iterator[str]:
+    yield f"{config_path}: robot {config.robot.name}, {config.map.mode}"
+    if config.map.path is not None:
+        try:
+            known, map_id = load_map(config.map.path)
+        except MapError as error:
+            raise ConfigError(str(error), ("map", "path"), config_path) from error
+        yield f"  map {known.name} {map_id}: {len(known)} points, {known.area_m2():.0f} m2"
+    else:
+        yield f"  new map {config.map.directory / config.map.name}.amrmap"
+    for scanner in config.scanners:
+        pose = scanner.mounting
+        yield (
+            f"  scanner {scanner.name}: {scanner.driver} at x {pose.x_m:g} m, y {pose.y_m:g} m, "
+            f"{pose.theta_deg:g} deg{', upside down' if pose.upside_down else ''}"
+        )
+    yield f"  wheels: {config.odometry.driver}"
+    yield f"  Zenoh: {config.zenoh.prefix}/{config.robot.name} on {', '.join(config.zenoh.listen)}"
+
+
+def _probe(config: Config) -> int:
+    """The daemon's own device threads, for a few seconds."""
+    received: list[_Received] = []
+    scanners = [ScannerThread(s, received.append, PROBE_S) for s in config.scanners]
+    wheels = WheelsThread(config.odometry, received.append, PROBE_S, config.localizer.wheels_late_s)
+    devices: Sequence[ScannerThread | WheelsThread] = (*scanners, wheels)
+    if sys.stderr.isatty():
+        sys.stderr.write(f"listening for {PROBE_S:g} s; push the robot to see its wheels count\n")
+    for device in devices:
+        device.start()
+    time.sleep(PROBE_S)
+    now_ns = time.monotonic_ns()
+    lines = {device: _seen(device, now_ns, list(received)) for device in devices}
+    for device in devices:
+        device.ask_to_stop()
+    for device in devices:
+        device.join(1.0)
+    _print(line for line, _ in lines.values())
+    return 0 if all(well for _, well in lines.values()) else 1
+
+
+def _seen(
+    device: ScannerThread | WheelsThread, now_ns: int, received: Sequence[_Received]
+) -> tuple[str, bool]:
+    """(what to print of a device, whether it is well)."""
+    ended = [r for r in received if isinstance(r, DeviceEnded) and r.name == device.name]
+    if ended:
+        return f"{device.name}: FAILED: {ended[0].unusable or 'the driver has failed'}", False
+    health, info = device.health(now_ns), device.info
+    if health.link is Link.LOST or info is None:
+        return f"{device.name}: NOT THERE: {health.detail}", False
+    facts = "".join(f", {name} {value}" for name, value in info.facts)
+    line = f"{device.name}: {info.model} on {info.address}{facts}"
+    if isinstance(device, ScannerThread):
+        line += _scans_seen([r for r in received if isinstance(r, Scan)], device.name)
+    else:
+        line += _wheels_seen([r for r in received if isinstance(r, WheelSample | OdometrySample)])
+    line += f"; {health.samples} samples, {health.rate_hz:.1f} Hz, {health.errors} errors"
+    if health.link is not Link.OK or health.detail is not None:
+        return f"{line}; NOT WELL: {health.detail or 'nothing received'}", False
+    return line, True
+
+
+def _scans_seen(scans: Sequence[Scan], name: str) -> str:
+    own = [scan for scan in scans if scan.scanner == name]
+    if not own:
+        return ""
+    ranges = own[-1].ranges_m
+    measured = ranges[np.isfinite(ranges)]
+    nearest = f", nearest {measured.min():.2f} m" if len(measured) else ""
+    return f"; {len(measured)} of {len(ranges)} beams measure{nearest}"
+
+
+def _wheels_seen(samples: Sequence[WheelSample | OdometrySample]) -> str:
+    if not samples:
+        return ""
+    first, last = samples[0], samples[-1]
+    if isinstance(first, WheelSample) and isinstance(last, WheelSample):
+        left, right = last.left_rad - first.left_rad, last.right_rad - first.right_rad
+        return f"; turned left {left:+.2f} rad, right {right:+.2f} rad"
+    return ""
+
+
+def _print(lines: Iterator[str]) -> None:
+    for line in lines:
+        sys.stdout.write(line + "\n")
+    sys.stdout.flush()

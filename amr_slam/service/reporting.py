@@ -1,0 +1,155 @@
+"""What leaves the robot: poses, and the status that says what stands behind them."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from os import getpid
+from typing import Final
+
+from amr_slam.config import Config
+from amr_slam.publishing import RobotPublisher
+from amr_slam.samples import Health, Link, PoseEstimate, State
+from amr_slam.service.clocks import WallClock
+from amr_slam.service.devices import ScannerThread, WheelsThread
+from amr_slam.service.usage import Usage
+from amr_slam.service.worker import SlamWorker
+from amr_slam.wire import HealthPart, MapPart, PoseMessage, StatusMessage
+
+_log = logging.getLogger(__name__)
+
+_PERIOD_NS: Final = 1_000_000_000
+_LEAST_PERIOD_NS: Final = 100_000_000
+"""A link that flaps must not flood the network."""
+_MAX_FAULT: Final = 500
+_MAX_DETAIL: Final = 200
+
+
+class Reporter:
+    """Publishes each pose it is given, and the status once a second and when it changes."""
+
+    def __init__(
+        self,
+        config: Config,
+        publisher: RobotPublisher,
+        worker: SlamWorker,
+        wheels: WheelsThread,
+        scanners: Sequence[ScannerThread],
+    ) -> None:
+        self._config = config
+        self._publisher = publisher
+        self._worker = worker
+        self._wheels = wheels
+        self._scanners = {scanner.name: scanner for scanner in scanners}
+        self._clock = WallClock()
+        self._usage = Usage()
+        self._used = (0.0, 0.0)
+        self._version = version("amr-slam")
+        self._started_ns = self._told_ns = self._looked_ns = time.monotonic_ns()
+        self._told: tuple[object, ...] = ()
+        self._poses = self._statuses = 0
+        self._state = State.STARTING
+        self._pose_fault: str | None = None
+        self._fault: str | None = None
+
+    def publish_pose(self, estimate: PoseEstimate | None) -> None:
+        """``None``: no wheel sample came yet, so that there is no pose of any worth."""
+        if estimate is None:
+            return
+        if estimate.state is not self._state:
+            _log.info("state: %s, was %s", estimate.state, self._state)
+        self._state, self._pose_fault = estimate.state, estimate.fault
+        active = self._worker.active_map
+        message = PoseMessage.from_estimate(
+            replace(estimate, fault=_joined(estimate.fault, self._fault)),
+            robot=self._config.robot.name,
+            seq=self._poses,
+            utc_from_monotonic_ns=self._clock.utc_from_monotonic_ns,
+            map_id=active.map_id if active is not None else None,
+        )
+        self._poses += 1
+        self._publisher.publish_pose(message)
+
+    def report(self, now_ns: int, outcomes: Mapping[str, int]) -> str | None:
+        """Publish the status if it is time to; then one line of it, for systemd."""
+        self._clock.follow(now_ns)
+        health = {name: scanner.health(now_ns) for name, scanner in self._scanners.items()}
+        wheels, slam = self._wheels.health(now_ns), self._worker.health(now_ns)
+        self._fault = _joined(self._worker.fault, *_complaints(health | {"wheels": wheels}))
+        parts = {**health, "wheels": wheels, "slam": slam}
+        active = self._worker.active_map
+        what = (
+            self._state,
+            tuple(part.link for part in parts.values()),
+            active.map_id if active is not None else None,
+            self._clock.steps,
+        )
+        since_ns = now_ns - self._told_ns
+        if since_ns < (_PERIOD_NS if what == self._told else _LEAST_PERIOD_NS):
+            return None
+        self._told, self._told_ns = what, now_ns
+        self._publisher.publish_status(self._message(now_ns, health, wheels, slam, outcomes))
+        self._statuses += 1
+        links = ", ".join(f"{name} {part.link}" for name, part in parts.items())
+        return f"{self._state}: {links}"
+
+    def _message(
+        self,
+        now_ns: int,
+        scanners: Mapping[str, Health],
+        wheels: Health,
+        slam: Health,
+        outcomes: Mapping[str, int],
+    ) -> StatusMessage:
+        cpu_percent, memory_mb = self._usage_at(now_ns)
+        active = self._worker.active_map
+        return StatusMessage(
+            robot=self._config.robot.name,
+            seq=self._statuses,
+            stamp=(now_ns + self._clock.utc_from_monotonic_ns) / 1e9,
+            state=self._state,
+            mode=self._config.map.mode,
+            map=None
+            if active is None
+            else MapPart(id=active.map_id, name=active.name, version=active.scans),
+            scanners={name: _part(health) for name, health in scanners.items()},
+            wheels=_part(wheels),
+            slam=_part(slam),
+            outcomes=dict(outcomes),
+            clock_steps=self._clock.steps,
+            version=self._version,
+            uptime_s=1e-9 * (now_ns - self._started_ns),
+            cpu_percent=cpu_percent,
+            memory_mb=memory_mb,
+            fault=_joined(self._pose_fault, self._fault),
+        )
+
+    def _usage_at(self, now_ns: int) -> tuple[float, float]:
+        """Not measured over less than half a second: the kernel counts in 10 ms."""
+        if now_ns - self._looked_ns >= _PERIOD_NS // 2:
+            self._looked_ns = now_ns
+            pids = [getpid(), *([] if self._worker.pid is None else [self._worker.pid])]
+            self._used = self._usage.look(pids)
+        return self._used
+
+
+def _complaints(parts: Mapping[str, Health]) -> list[str]:
+    """One for each device that is not well."""
+    return [
+        f"{name} {part.link}: {part.detail or 'nothing received'}"
+        for name, part in parts.items()
+        if part.link is not Link.OK
+    ]
+
+
+def _joined(*faults: str | None) -> str | None:
+    text = "; ".join(fault for fault in faults if fault)
+    return text[:_MAX_FAULT] or None
+
+
+def _part(health: Health) -> HealthPart:
+    detail = health.detail
+    return HealthPart.of(replace(health, detail=detail and detail[:_MAX_DETAIL]))

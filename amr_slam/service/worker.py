@@ -1,0 +1,303 @@
+"""The SLAM process from its parent's side: one job at a time, a pulse, and a new one when it dies.
+
+Nothing here waits for the process but :meth:`SlamWorker.stop`: one thread sends, another one
+receives into the loop's queue. A message of a process that was given up is not heard any more.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import multiprocessing
+import queue
+import signal
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Final
+
+from amr_slam import slam_process
+from amr_slam.engine import SlamRequest, SlamResult
+from amr_slam.samples import Health, Link
+from amr_slam.slam_process import Ready, Refused, Saved, SlamJob, Stop
+
+_log = logging.getLogger(__name__)
+
+_START_LIMIT_NS: Final = 60_000_000_000
+"""From the start to Ready: imports on a slow computer and a large map."""
+_PULSE_GRACE_NS: Final = 2_000_000_000
+"""A process that outlives its kill by this much hangs in the kernel: the pulse stops."""
+_END_S: Final = 0.2
+"""What the kernel may take to end a process whose pipe has ended."""
+_FIRST_RETRY_NS: Final = 500_000_000
+_LAST_RETRY_NS: Final = 5_000_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FromWorker:
+    """What a process sent; None when its pipe has ended."""
+
+    generation: int
+    message: Ready | Refused | Saved | SlamResult | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ActiveMap:
+    """The map that poses refer to."""
+
+    map_id: str
+    """Localization: UUID of the file's content. Mapping: of this run's map, whose content still
+    changes; its file has one of its own."""
+    name: str
+    scans: int
+    """That it is made of."""
+
+
+class SlamWorker:
+    """The present process and what is known of it. All methods are for the loop's thread."""
+
+    def __init__(
+        self, job: SlamJob, sink: Callable[[FromWorker], object], answer_limit_s: float
+    ) -> None:
+        self._job = job
+        self._sink = sink
+        self._answer_limit_ns = round(1e9 * answer_limit_s)
+        self._run_id = str(uuid.uuid4()) if job.mode == "mapping" else None
+        self._generations = itertools.count(1)
+        self._retry_ns = _FIRST_RETRY_NS
+        self._restart_ns: int | None = None
+        self._ready = False
+        self._deadline_ns: int | None = None
+        self._answered_ns: int | None = None
+        self._answers = 0
+        self._crashes = 0
+        self._detail: str | None = "starting"
+        self._killed_for: str | None = None
+        self._stopping = False
+        self.active_map: ActiveMap | None = None
+        self.refusal: str | None = None
+        """Why the first process could not use its map."""
+        self.fault: str | None = None
+        """What to tell with every pose until a fix shows that it is over."""
+        self._spawn()
+
+    # -- for the loop ----------------------------------------------------------------------
+
+    @property
+    def idle(self) -> bool:
+        """Whether a request may be submitted."""
+        return self._ready and self._deadline_ns is None
+
+    @property
+    def ready(self) -> bool:
+        """Whether the process has its map."""
+        return self._ready
+
+    @property
+    def pid(self) -> int | None:
+        """Of the present process."""
+        return self._process.pid
+
+    def submit(self, request: SlamRequest) -> None:
+        """Hand over one request; only while idle."""
+        self._deadline_ns = time.monotonic_ns() + self._answer_limit_ns
+        self._outbox.put(request)
+
+    def hear(self, received: FromWorker) -> SlamResult | None:
+        """Take in what the process sent; the answer, if it was one."""
+        message = received.message
+        if received.generation != self._generation:
+            return None
+        if self._stopping and not isinstance(message, Saved):
+            return None
+        match message:
+            case Ready():
+                self._on_ready(message)
+            case Refused():
+                self._on_refused(message)
+            case Saved():
+                self._on_saved(message)
+            case SlamResult():
+                self._on_answer(message)
+                return message
+            case None:
+                self._on_death()
+        return None
+
+    def supervise(self, now_ns: int) -> None:
+        """Kill a process that is overdue; start the next one when it is time to."""
+        if self._restart_ns is not None and now_ns >= self._restart_ns:
+            self._restart_ns = None
+            self._spawn()
+        overdue = self._deadline_ns is not None and now_ns > self._deadline_ns
+        if overdue and self._killed_for is None:
+            self._killed_for = (
+                f"no answer within {1e-9 * self._answer_limit_ns:g} s"
+                if self._ready
+                else f"not ready within {1e-9 * _START_LIMIT_NS:g} s"
+            )
+            self._complain(self._killed_for)
+            self._process.kill()  # its pipe ends, and that is heard
+
+    def has_pulse(self, now_ns: int) -> bool:
+        """Whether the process answers, or is within its limit, or is being replaced."""
+        return self._deadline_ns is None or now_ns <= self._deadline_ns + _PULSE_GRACE_NS
+
+    def health(self, now_ns: int) -> Health:
+        """Rate and samples are those of the answers."""
+        if self._restart_ns is not None or self._killed_for is not None:
+            link = Link.LOST
+        else:
+            link = Link.OK if self._ready else Link.STALE
+        age_s = None
+        if self._answered_ns is not None:
+            age_s = max(0.0, 1e-9 * (now_ns - self._answered_ns))
+        return Health(
+            link=link,
+            age_s=age_s,
+            rate_hz=self._rate_hz if link is Link.OK else 0.0,
+            samples=self._answers,
+            errors=self._crashes,
+            detail=self._detail,
+        )
+
+    def stop(self, timeout_s: float) -> None:
+        """Let it save its map and end, or end it after ``timeout_s``."""
+        self._stopping = True
+        self._outbox.put(Stop())
+        self._process.join(timeout_s)
+        if self._process.is_alive():
+            _log.warning("slam: busy for too long, ended without saving its last scans")
+            self._process.kill()
+            self._process.join(_END_S)
+        self._outbox.put(None)
+        self._receiver.join(_END_S)
+
+    # -- what happened to it ---------------------------------------------------------------
+
+    def _spawn(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = context.Pipe()
+        self._generation = next(self._generations)
+        self._ready = False
+        self._killed_for = None
+        self._rate_hz = 0.0
+        self._deadline_ns = time.monotonic_ns() + _START_LIMIT_NS
+        self._outbox: queue.SimpleQueue[SlamRequest | Stop | None] = queue.SimpleQueue()
+        self._process: SpawnProcess = context.Process(
+            target=slam_process.serve, args=(theirs, self._job), name="slam", daemon=True
+        )
+        # The child inherits the mask and never lifts it: no instant in which Ctrl-C, or a SIGTERM
+        # to the whole group, could take the map with it. The tracker that multiprocessing starts
+        # with its first child would lift it too early, so it is started before.
+        resource_tracker.ensure_running()
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        theirs.close()  # with the last copy in the child, its end is the pipe's end
+        # Daemons: a process that hangs must not keep the program from ending.
+        threading.Thread(target=_send, args=(ours, self._outbox), daemon=True).start()
+        self._receiver = threading.Thread(
+            target=_receive, args=(ours, self._sink, self._generation), daemon=True
+        )
+        self._receiver.start()
+
+    def _on_ready(self, message: Ready) -> None:
+        self._ready = True
+        self._deadline_ns = None
+        if self._crashes == 0:
+            self._detail = None
+        else:
+            self._complain(f"{self._detail}; {self._after_crash()}")
+        map_id = self._run_id or message.map_id
+        if map_id is not None:
+            self.active_map = ActiveMap(
+                map_id=map_id, name=message.map_name, scans=message.map_scans
+            )
+        _log.info("slam: ready, map %s of %d scans", message.map_name, message.map_scans)
+
+    def _after_crash(self) -> str:
+        if self._job.source is not None:
+            return f"started again with {self._job.source}"
+        return "started again with an empty map: what was mapped before is lost"
+
+    def _on_refused(self, message: Refused) -> None:
+        self._killed_for = message.reason
+        if self._crashes == 0 and self._answers == 0:
+            self.refusal = message.reason
+
+    def _on_saved(self, message: Saved) -> None:
+        if message.error is not None:
+            self._detail = message.error
+            _log.warning("slam: %s", message.error)
+            return
+        if self._crashes == 0:
+            self._detail = None
+        # From now on this file is what a new process goes on with.
+        self._job = replace(self._job, source=self._job.target, saved_before=True)
+        _log.info("slam: map of %d scans saved to %s", message.map_scans, self._job.target)
+
+    def _on_answer(self, message: SlamResult) -> None:
+        now_ns = time.monotonic_ns()
+        if self._answered_ns is not None:
+            self._rate_hz = 1e9 / max(1, now_ns - self._answered_ns)
+        self._answered_ns = now_ns
+        self._deadline_ns = None
+        self._answers += 1
+        self._retry_ns = _FIRST_RETRY_NS
+        if message.fix is not None or message.inserted:
+            self.fault = None
+        if self.active_map is not None:
+            self.active_map = replace(self.active_map, scans=message.map_scans)
+
+    def _on_death(self) -> None:
+        self._process.join(_END_S)
+        self._process.kill()
+        self._crashes += 1
+        self._ready = False
+        self._deadline_ns = None
+        self._complain(self._killed_for or _told(self._process.exitcode))
+        self._restart_ns = time.monotonic_ns() + self._retry_ns
+        self._retry_ns = min(2 * self._retry_ns, _LAST_RETRY_NS)
+        self._outbox.put(None)
+        _log.error("slam: %s; a new process starts", self._detail)
+
+    def _complain(self, reason: str) -> None:
+        self._detail = reason
+        self.fault = f"slam: {reason}"
+
+
+def _told(exitcode: int | None) -> str:
+    if exitcode is None:
+        return "the pipe broke"
+    if exitcode < 0:
+        return f"killed by {signal.Signals(-exitcode).name}"
+    return f"ended with exit status {exitcode}"
+
+
+def _send(pipe: Connection, outbox: queue.SimpleQueue[SlamRequest | Stop | None]) -> None:
+    """A thread: waits where a full pipe makes one wait."""
+    while (request := outbox.get()) is not None:
+        try:
+            pipe.send(request)
+        except OSError:
+            return  # told by the receiving end
+
+
+def _receive(pipe: Connection, sink: Callable[[FromWorker], object], generation: int) -> None:
+    """A thread: all that the process sends, then its end."""
+    message: Ready | Refused | Saved | SlamResult | None
+    while True:
+        try:
+            message = pipe.recv()
+        except (EOFError, OSError):
+            sink(FromWorker(generation=generation, message=None))
+            return
+        sink(FromWorker(generation=generation, message=message))
