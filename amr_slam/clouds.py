@@ -13,6 +13,9 @@ from annotated_types import Ge, Gt, Le
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.samples import Scan
 
+# Beams this far apart on a surface each count in full.
+_FULL_WEIGHT_M = 0.05
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CloudParams:
@@ -41,11 +44,14 @@ class Cloud:
     """(n, 2) unit normals that face the scanner; (0, 0) where the neighbours tell none."""
     origins_m: Array
     """(n, 2) where the scanner stood that saw the point."""
+    weights: Array
+    """(n,) in (0, 1]: how much surface the point stands for, full at 5 cm between beams. Near
+    things fill many beams: counted plainly, two legs outweigh a wall."""
     sigma_m: float
     """Noise of one range, estimated from the scan itself."""
 
     def __post_init__(self) -> None:
-        for name in ("points_m", "normals", "origins_m"):
+        for name in ("points_m", "normals", "origins_m", "weights"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
 
     def __len__(self) -> int:
@@ -128,7 +134,7 @@ def cloud_from_scan(
     if not len(beams):
         return Cloud(
             stamp_ns=scan.mid_stamp_ns, points_m=points, normals=points, origins_m=origins,
-            sigma_m=0.0,
+            weights=hits, sigma_m=0.0,
         )  # fmt: skip
     # Neighbours are counted in beams, so that a gap of missing returns separates surfaces.
     spread = np.full((len(ranges), 2), np.nan)
@@ -149,6 +155,7 @@ def cloud_from_scan(
         points_m=points[keep],
         normals=np.where(known[:, None], normals, 0.0)[keep],
         origins_m=origins[keep],
+        weights=np.clip(spacing[beams] / _FULL_WEIGHT_M, 0.05, 1.0)[keep],
         sigma_m=range_noise(np.where(usable, ranges, np.nan)),
     )
 
@@ -178,16 +185,6 @@ def merge(clouds: Sequence[tuple[Cloud, Pose2]]) -> Cloud:
         points_m=np.concatenate([pose @ cloud.points_m for cloud, pose in clouds]),
         normals=np.concatenate([cloud.normals @ pose.rotation.T for cloud, pose in clouds]),
         origins_m=np.concatenate([pose @ cloud.origins_m for cloud, pose in clouds]),
+        weights=np.concatenate([cloud.weights for cloud, _ in clouds]),
         sigma_m=max(cloud.sigma_m for cloud, _ in clouds),
-    )
-
-
-def crop(cloud: Cloud, keep: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> Cloud:
-    """The cloud's points where ``keep`` (n,) is true."""
-    return Cloud(
-        stamp_ns=cloud.stamp_ns,
-        points_m=cloud.points_m[keep],
-        normals=cloud.normals[keep],
-        origins_m=cloud.origins_m[keep],
-        sigma_m=cloud.sigma_m,
     )

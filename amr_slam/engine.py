@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from amr_slam.clouds import Cloud
-from amr_slam.geometry import Array, Pose2, inverse_matrix
+from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration.icp import Prior, points_alone
 from amr_slam.samples import SlamPose
-from amr_slam.slam import Answer, Hypothesis, Rung, Verdict, ladder, slam_absolute, unknown
+from amr_slam.slam import Answer, Hypothesis, Rung, Verdict, slam_absolute, slam_relative, unknown
 
 Mode = Literal["mapping", "localization"]
 
@@ -24,6 +24,7 @@ Mode = Literal["mapping", "localization"]
 _SLACK = np.diag([0.02**2, 0.02**2, 0.01**2])
 # Largest covariance that a fix may carry (m2, m2, rad2): "nothing known" in numbers.
 _FIX_LIMIT = 1e4
+_COMPATIBLE_D2 = 30.67
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -70,16 +71,22 @@ class SlamEngine:
         prior = _prior(request)
         answer = self._search(cloud, prior)
         fix = None
+        believed = False
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
             fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
-        inserted = self.mode == "mapping" and self._grow(request, answer, fix)
+            believed = prior is not None and _compatible(fix, prior)
+        inserted = self.mode == "mapping" and self._grow(request, answer, believed=believed)
         return self._result(cloud.stamp_ns, answer, fix, inserted=inserted)
 
     def _search(self, cloud: Cloud, prior: Prior | None) -> Answer:
         if prior is None:
             return slam_absolute(cloud, self.map, self.params)
+        # A growing map lacks the very places where the robot is: there, a search of the whole map
+        # finds look-alikes, so the last rung stays around the expected pose.
         answer = unknown("the ladder has no rung")
-        for answer in ladder(cloud, self.map, prior, self.params):
+        for answer in slam_relative(
+            cloud, self.map, prior, self.params, everywhere=self.mode == "localization"
+        ):
             if answer.verdict is Verdict.ACCEPTED or self._new_territory(answer):
                 return answer
         return answer
@@ -102,12 +109,12 @@ class SlamEngine:
             self.mode == "mapping"
             and answer.rung is Rung.RELATIVE
             and best is not None
-            and best.known < self.params.min_known
+            and best.known < self.params.relative.known
         )
 
-    def _grow(self, request: SlamRequest, answer: Answer, fix: SlamPose | None) -> bool:
+    def _grow(self, request: SlamRequest, answer: Answer, *, believed: bool) -> bool:
         pose = None
-        if fix is not None and answer.best is not None:
+        if believed and answer.best is not None:
             pose = answer.best.pose
         elif self._new_territory(answer):
             pose = request.map_from_base
@@ -149,10 +156,19 @@ def _prior(request: SlamRequest) -> Prior | None:
     )
 
 
+def _compatible(fix: SlamPose, prior: Prior) -> bool:
+    """Whether fix and prior can both be true (1 - 1e-6, 3 dof): a scan that contradicts the
+    wheels must not enter the map."""
+    difference = fix.map_from_base.as_array() - prior.target_from_source.as_array()
+    difference[2] = wrap_angle(float(difference[2]))
+    spread = fix.covariance + inverse_matrix(prior.information)
+    return float(difference @ inverse_matrix(spread) @ difference) <= _COMPATIBLE_D2
+
+
 def _fix(stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None) -> SlamPose:
     """The accepted pose as a measurement of its own: without the prior that helped to find it."""
     alignment = best.alignment
-    relocalized = rung is Rung.ABSOLUTE
+    relocalized = rung in {Rung.RESCUE, Rung.ABSOLUTE}
     if prior is None or relocalized:
         floor = np.eye(3) / _FIX_LIMIT
         pose, covariance = best.pose, inverse_matrix(alignment.information + floor)

@@ -319,9 +319,9 @@ class Localizer:
 
     def _state(self, covariance: Array, since_fix_s: float, wheel_age_s: float) -> State:
         params = self._params
+        if self._last_result is None:
+            return State.STARTING
         if not self._located:
-            if self._last_result is None:
-                return State.STARTING
             verdict = self._last_result.answer.verdict
             return State.LOST if verdict is Verdict.UNKNOWN else State.AMBIGUOUS
         major_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))

@@ -20,6 +20,23 @@ Share = Annotated[float, Ge(0.0), Le(1.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Acceptance:
+    """What a pose must show before it is called right."""
+
+    inliers: Share
+    """Least share on walls, of the points in known places."""
+    conflict: Share
+    """Greatest share standing in seen-free space: people and moved things, not more."""
+    known: Share
+    """Least share in known places: less is new territory, not a registration."""
+    margin: Share
+    """Least lead of the score over a second place."""
+    e_max_m: Annotated[float, Gt(0.0)] = 1.0
+    """The paper's e_max: a registration error (eq. 1) at or above it is a failure. At 1 m, its
+    own threshold, it never speaks: new territory raises it as much as a wrong pose does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlamParams:
     """The strategies of :mod:`amr_slam.slam` and the methods below them."""
 
@@ -44,21 +61,22 @@ class SlamParams:
     window_deg: tuple[float, float] = (15.0, 60.0)
     """Least and greatest half width of the prior's heading window."""
 
-    e_max_m: Annotated[float, Gt(0.0)] = 1.0
-    """The paper's e_max: a registration error (eq. 1) at or above it is a failure. At 1 m, its
-    own threshold, it never speaks: new territory raises it as much as a wrong pose does."""
     fit_m: Annotated[float, Gt(0.0)] = 0.25
     """A point this far from the nearest wall fits no better than one in the open."""
-    min_inliers: Share = 0.65
-    """Least share on walls, of the points in known places."""
-    max_conflict: Share = 0.12
-    """Greatest share standing in seen-free space: people and moved things, not more."""
-    min_known: Share = 0.35
-    """Least share in known places: less is new territory, not a registration."""
-    relative_margin: Share = 0.0
-    """Least lead over a second place inside the prior's window."""
-    absolute_margin: Share = 0.2
-    """Least lead over a second place anywhere."""
+    relative: Acceptance = field(
+        default_factory=lambda: Acceptance(inliers=0.5, conflict=0.3, known=0.35, margin=0.0)
+    )
+    """What a pose near the expected one must show."""
+    absolute: Acceptance = field(
+        default_factory=lambda: Acceptance(inliers=0.7, conflict=0.08, known=0.7, margin=0.2)
+    )
+    """What a pose found without a prior must show."""
+    rescue: Acceptance = field(
+        default_factory=lambda: Acceptance(inliers=0.75, conflict=0.2, known=0.6, margin=0.1)
+    )
+    """What a pose found by the absolute strategy around the expected one must show."""
+    rescue_m: Annotated[float, Gt(0.0)] = 2.6
+    """While mapping, the absolute strategy looks this far around the expected pose."""
     insert_m: Annotated[float, Ge(0.0)] = 0.1
     """While mapping, a scan joins the map after this much travel"""
     insert_rad: Annotated[float, Ge(0.0)] = 0.1
@@ -90,10 +108,7 @@ def preset(name: Preset) -> SlamParams:
         icp=IcpParams(metric="point", max_iterations=50, kernel_m=1.0, reach_m=1.0),
         absolute_candidates=1,
         local_candidates=1,
-        e_max_m=0.15,
-        min_inliers=0.0,
-        max_conflict=1.0,
-        min_known=0.0,
-        relative_margin=0.0,
-        absolute_margin=0.0,
+        relative=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
+        absolute=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
+        rescue=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
     )

@@ -94,9 +94,7 @@ def replay(
     )
 
 
-def spread(
-    online: Trajectory, odometry: list[Pose2], fixes: list[tuple[int, Pose2]]
-) -> Trajectory:
+def spread(online: Trajectory, odometry: list[Pose2], fixes: list[tuple[int, Pose2]]) -> Trajectory:
     """The trajectory with each correction spread evenly over the time between its two fixes.
 
     ``odometry`` (n poses): wheels alone at the trajectory's stamps; ``fixes``: (stamp ns, pose)

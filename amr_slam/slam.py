@@ -15,10 +15,10 @@ import numpy as np
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
-from amr_slam.params import SlamParams
+from amr_slam.params import Acceptance, SlamParams
 from amr_slam.registration import cpd, icp
 from amr_slam.registration.alignment import Alignment, Target
-from amr_slam.registration.error import e_psr
+from amr_slam.registration.error import mean_below, nearest
 from amr_slam.registration.icp import Prior
 from amr_slam.registration.rdnm import as_pose, rdn, rdnm
 
@@ -28,6 +28,7 @@ class Rung(enum.StrEnum):
 
     RELATIVE = "rdnm+icp"
     CPD = "cpd+icp"
+    RESCUE = "rescue"
     ABSOLUTE = "absolute"
 
 
@@ -77,17 +78,14 @@ class Answer:
     """Why nothing was accepted."""
 
 
-def slam_relative(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Answer:
-    """Algorithm 3: the pose near ``prior``; quickest strategy first, the next where it fails."""
-    answer = unknown("the ladder has no rung")
-    for answer in ladder(X, Y, prior, params):
-        if answer.verdict is Verdict.ACCEPTED:
-            return answer
-    return answer
+def slam_relative(
+    X: Cloud, Y: PointMap, prior: Prior, params: SlamParams, *, everywhere: bool = True
+) -> Iterator[Answer]:
+    """Algorithm 3: the pose near ``prior``, quickest strategy first.
 
-
-def ladder(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Iterator[Answer]:
-    """The answers of algorithm 3's rungs, computed as they are asked for."""
+    Yields one answer a rung, computed when it is asked for: who climbs stops at the first that is
+    accepted. ``everywhere``: the last rung looks in the whole map, else around the prior.
+    """
     target = Y.target(prior.target_from_source)
 
     rough = local_candidates(X, target, prior, params)
@@ -96,17 +94,29 @@ def ladder(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Iterator[
     drifted = cpd.align(X, target, prior.target_from_source, params.cpd).target_from_source
     yield refine_and_decide(X, Y, target, [drifted], params, Rung.CPD, prior)
 
-    yield slam_absolute(X, Y, params)
+    yield slam_absolute(X, Y, params) if everywhere else slam_rescue(X, Y, prior, params)
 
 
 def slam_absolute(X: Cloud, Y: PointMap, params: SlamParams) -> Answer:
-    """Algorithm 2: the pose anywhere in the map, with no prior."""
+    """Algorithm 2: the pose anywhere in the map."""
     places, h_y = Y.signatures(params.grid_m, params.robot_radius_m, params.rdnm)
     h_x = rdn(X.points_m, np.zeros((1, 2)), 0.0, params.rdnm)[0]
     rough = rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
-    return refine_and_decide(
-        X, Y, Y.target(), [as_pose(r) for r in rough], params, Rung.ABSOLUTE, None
-    )
+    poses = [as_pose(r) for r in rough]
+    return refine_and_decide(X, Y, Y.target(), poses, params, Rung.ABSOLUTE)
+
+
+def slam_rescue(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Answer:
+    """Algorithm 2 with its grid "limited by an estimated position" (section 2.2): all headings
+    around the prior, which then has no say any more."""
+    centre = prior.target_from_source
+    target = Y.target(centre)
+    places = Y.places(params.grid_m, params.robot_radius_m)
+    places = places[np.hypot(*(places - centre.translation).T) <= params.rescue_m]
+    h_x = rdn(X.points_m, np.zeros((1, 2)), 0.0, params.rdnm)[0]
+    h_y = rdn(target.points_m, places, target.spacing_m, params.rdnm)
+    rough = rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
+    return refine_and_decide(X, Y, target, [as_pose(r) for r in rough], params, Rung.RESCUE)
 
 
 def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams) -> list[Pose2]:
@@ -128,8 +138,10 @@ def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams)
 
 
 def _window(half_m: Array, spacing_m: float) -> Array:
-    """Grid offsets (k, 2) over a rectangle of half sides ``half_m`` (2,), its centre included."""
-    axes = [spacing_m * np.arange(-(h // spacing_m), h // spacing_m + 1) for h in half_m]
+    """Grid offsets (k, 2) over a rectangle of half sides ``half_m`` (2,), its centre included:
+    ``spacing_m`` apart or more, 7 a side at most."""
+    steps = [min(int(half / spacing_m), 3) for half in half_m]
+    axes = [np.linspace(-half, half, 2 * n + 1) for half, n in zip(half_m, steps, strict=True)]
     x, y = np.meshgrid(*axes)
     return np.column_stack([x.ravel(), y.ravel()])
 
@@ -141,7 +153,7 @@ def refine_and_decide(
     rough: Sequence[Pose2],
     params: SlamParams,
     rung: Rung,
-    prior: Prior | None,
+    prior: Prior | None = None,
 ) -> Answer:
     """ICP from every rough pose, the scan's fit at each result, and the verdict."""
     if not len(X) or not len(target):
@@ -162,17 +174,20 @@ def assess(
 ) -> Hypothesis:
     """How well the whole scan fits at one refined pose."""
     moved = alignment.target_from_source @ X.points_m
-    seen = Y.known(moved, target.tree)
+    distance = nearest(moved, target.tree)
+    seen = Y.known(moved, distance)
     scale = max(params.fit_m, 3.0 * X.sigma_m)
-    fit = 1.0 - np.minimum(seen.distance_m / scale, 1.0)
-    on_wall = seen.distance_m <= 0.5 * scale
+    fit = 1.0 - np.minimum(distance / scale, 1.0)
+    share = X.weights / X.weights.sum()
+    known = float(share @ seen.known)
+    on_wall = float(share @ (distance <= 0.5 * scale))
     return Hypothesis(
         alignment=alignment,
-        score=float(fit.mean() - seen.free.mean()),
-        inliers=float(on_wall.sum() / max(int(seen.known.sum()), 1)),
-        known=float(seen.known.mean()),
-        conflict=float(seen.free.mean()),
-        e_psr_m=e_psr(moved, target.tree),
+        score=float(share @ fit - share @ seen.free),
+        inliers=min(on_wall / max(known, 1e-9), 1.0),
+        known=known,
+        conflict=float(share @ seen.free),
+        e_psr_m=mean_below(distance),
     )
 
 
@@ -190,16 +205,16 @@ def _apart(a: Pose2, b: Pose2) -> bool:
 
 
 def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: SlamParams) -> Answer:
-    """The verdict on the best hypothesis; without a prior it must also stand out."""
+    """The verdict on the best hypothesis: it must fit, and stand out from the second place."""
     best = tried[0]
     second = tried[1] if len(tried) > 1 else None
     margin = best.score - (max(second.score, 0.0) if second else 0.0)
-    reason = objection(best, params)
+    bar = {Rung.ABSOLUTE: params.absolute, Rung.RESCUE: params.rescue}.get(rung, params.relative)
+    reason = objection(best, bar)
     verdict = Verdict.UNKNOWN if reason else Verdict.ACCEPTED
-    needed = params.absolute_margin if rung is Rung.ABSOLUTE else params.relative_margin
-    if not reason and margin < needed:
+    if not reason and margin < bar.margin:
         verdict = Verdict.AMBIGUOUS
-        reason = f"a second place fits nearly as well (margin {margin:.2f} < {needed:.2f})"
+        reason = f"a second place fits nearly as well (margin {margin:.2f} < {bar.margin:.2f})"
     return Answer(
         verdict=verdict,
         rung=rung,
@@ -211,17 +226,15 @@ def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: Sla
     )
 
 
-def objection(hypothesis: Hypothesis, params: SlamParams) -> str | None:
+def objection(hypothesis: Hypothesis, bar: Acceptance) -> str | None:
     """Why a pose cannot be accepted on its own, or None."""
-    if hypothesis.e_psr_m >= params.e_max_m:
-        return f"registration error {hypothesis.e_psr_m:.2f} m >= {params.e_max_m:.2f} m"
-    if not hypothesis.alignment.converged:
-        return "the registration did not converge"
-    if hypothesis.known < params.min_known:
+    if hypothesis.e_psr_m >= bar.e_max_m:
+        return f"registration error {hypothesis.e_psr_m:.2f} m >= {bar.e_max_m:.2f} m"
+    if hypothesis.known < bar.known:
         return f"only {hypothesis.known:.0%} of the scan lies where the map knows anything"
-    if hypothesis.inliers < params.min_inliers:
+    if hypothesis.inliers < bar.inliers:
         return f"only {hypothesis.inliers:.0%} of the known points lie on walls"
-    if hypothesis.conflict > params.max_conflict:
+    if hypothesis.conflict > bar.conflict:
         return f"{hypothesis.conflict:.0%} of the scan stands where the map saw free space"
     return None
 

@@ -7,12 +7,10 @@ how much memory is taken beyond the bounds below.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
 import struct
-import tempfile
 import uuid
 import zlib
 from dataclasses import asdict
@@ -37,7 +35,7 @@ _NAMESPACE = uuid.UUID("6f1c1f5e-5d0b-4c3b-9c0e-2a4f6a3b7d10")
 # Arrays of version 1, in the file's order: name -> (dtype, columns; 0 = one-dimensional).
 _ARRAYS = {
     "wall_keys": ("<i8", 0),
-    "wall_sums": ("<f8", 6),
+    "wall_sums": ("<f8", 8),
     "space_keys": ("<i8", 0),
     "space_sums": ("<f8", 2),
     "path_stamps_ns": ("<i8", 0),
@@ -59,17 +57,16 @@ def save_map(grown: PointMap, path: Path, *, keep: int = 2) -> uuid.UUID:
     data, map_id = encode(grown)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=path.name, suffix=".tmp", dir=path.parent)
+        fresh = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
-            with os.fdopen(handle, "wb") as file:
+            with fresh.open("wb") as file:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
             _rotate(path, keep)
-            os.replace(name, path)  # noqa: PTH105 - the pair of mkstemp
+            fresh.replace(path)
         except BaseException:
-            with contextlib.suppress(FileNotFoundError):
-                Path(name).unlink()
+            fresh.unlink(missing_ok=True)
             raise
         folder = os.open(path.parent, os.O_RDONLY)
         try:

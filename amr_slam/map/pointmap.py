@@ -9,7 +9,6 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
@@ -41,16 +40,16 @@ class MapParams:
 class Known:
     """What the map says about a scan's points, row-aligned with them."""
 
-    distance_m: Array
-    """(n,) to the nearest wall point; inf beyond half a metre."""
     free: NDArray[np.bool_]
     """(n,) the point lies where rays have passed and no wall is near: a contradiction."""
     known: NDArray[np.bool_]
     """(n,) the map knows the place at all: free or near a wall."""
 
 
-_REACH_M = 0.5
-_CHANNELS = 6  # count, x, y, cos 2phi, sin 2phi, noise: sums over the points of a cell
+# Points this near to a wall lie in a known place.
+_REACH_M = 0.3
+# Sums over the points of a cell: count, x, y, cos 2phi, sin 2phi of the normals, sight x, y, noise.
+_CHANNELS = 8
 _SIGHT_M = 25.0
 
 
@@ -58,7 +57,8 @@ class PointMap:
     """Grows by each accepted scan; answers what registration asks.
 
     Walls are sums per cell: a normal is summed as its double angle, so that a thin board seen
-    from both sides keeps its direction. Free space is counted once per scan and cell.
+    from both sides keeps its direction, and points to where it was seen from. Free space is
+    counted once per scan and cell.
     """
 
     def __init__(self, params: MapParams, name: str = "map") -> None:
@@ -86,6 +86,8 @@ class PointMap:
         normals = cloud.normals @ map_from_base.rotation.T
         known = cloud.has_normal
         double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
+        sight = origins - points
+        sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-9)
         values = np.stack(
             [
                 np.ones(len(points)),
@@ -93,6 +95,8 @@ class PointMap:
                 points[:, 1],
                 np.where(known, np.cos(double), 0.0),
                 np.where(known, np.sin(double), 0.0),
+                sight[:, 0],
+                sight[:, 1],
                 np.full(len(points), cloud.sigma_m),
             ],
             axis=1,
@@ -125,7 +129,7 @@ class PointMap:
     def sigma_m(self) -> float:
         """Noise of the scans that the map is made of (mean over its points)."""
         count = float(self.walls.sums[:, 0].sum())
-        return float(self.walls.sums[:, 5].sum()) / count if count else 0.0
+        return float(self.walls.sums[:, 7].sum()) / count if count else 0.0
 
     def target(self, centre: Pose2 | None = None, radius_m: float = _SIGHT_M) -> Target:
         """The wall points (all, or within ``radius_m`` of a pose) to register against."""
@@ -155,12 +159,15 @@ class PointMap:
         points = sums[:, 1:3] / count
         sigma = self.sigma_m
         if self.params.thin and sigma > self.params.noisy_m:
-            points, normals = thin_walls(points, count[:, 0], sigma, self.params.cell_m)
+            points, normals = thin_walls(
+                points, count[:, 0], sums[:, 5:7], sigma, self.params.cell_m
+            )
             return Target(points_m=points, normals=normals, spacing_m=self.params.cell_m)
         direction = 0.5 * np.arctan2(sums[:, 4], sums[:, 3])
         # Cells in which the directions disagree (corners, clutter) have no normal.
         agreed = np.hypot(sums[:, 3], sums[:, 4]) > 0.4 * count[:, 0]
         normals = np.stack([np.cos(direction), np.sin(direction)], axis=1)
+        normals = np.where(np.sum(normals * sums[:, 5:7], axis=1)[:, None] < 0.0, -normals, normals)
         return Target(
             points_m=points,
             normals=np.where(agreed[:, None], normals, 0.0),
@@ -175,12 +182,9 @@ class PointMap:
         ended = np.where(cell >= 0, self.space.sums[cell, 1], 0.0)
         return np.asarray(passed > self.params.vanish_ratio * np.maximum(ended, 1.0))
 
-    def known(self, points_m: Array, walls: cKDTree) -> Known:
-        """What the map knows at points (n, 2) of the map frame. ``walls``: a target's index."""
-        if walls.n:
-            distance = np.asarray(walls.query(points_m, distance_upper_bound=_REACH_M)[0])
-        else:
-            distance = np.full(len(points_m), np.inf)
+    def known(self, points_m: Array, distance_m: Array) -> Known:
+        """What the map knows at points (n, 2) of the map frame, ``distance_m`` (n,) from the
+        nearest wall point."""
         cell = self.space.find(self.space.keys_of(points_m))
         if len(self.space):
             passed = np.where(cell >= 0, self.space.sums[cell, 0], 0.0)
@@ -188,8 +192,8 @@ class PointMap:
         else:
             passed = ended = np.zeros(len(points_m))
         clear = 0.25 + 3.0 * self.sigma_m
-        free = (passed > ended) & (distance > clear)
-        return Known(distance_m=distance, free=free, known=free | (distance <= _REACH_M))
+        free = (passed > ended) & (distance_m > clear)
+        return Known(free=free, known=free | (distance_m <= _REACH_M))
 
     def places(self, spacing_m: float, robot_radius_m: float) -> Array:
         """Grid points (m, 2) every ``spacing_m`` on seen-free cells where the robot fits.

@@ -10,9 +10,16 @@ from amr_slam.map.grid import SparseGrid
 
 
 def thin_walls(
-    points_m: Array, weights: Array, sigma_m: float, cell_m: float, iterations: int = 4
+    points_m: Array,
+    weights: Array,
+    sights: Array,
+    sigma_m: float,
+    cell_m: float,
+    iterations: int = 4,
 ) -> tuple[Array, Array]:
     """Ridge of a weighted point band: thin points (k, 2) and unit normals (k, 2).
+
+    ``sights`` (n, 2): weighted directions from which the points were seen; normals face them.
 
     Each point climbs to the ridge of the point density: it moves along the local normal to the
     weighted mean of its neighbours (Gaussian weights of bandwidth max(0.08 m, sigma)), a mean
@@ -45,6 +52,11 @@ def thin_walls(
         normals = np.stack([-np.sin(along), np.cos(along)], axis=1)
         climb = np.sum((mean - moving) * normals, axis=1, keepdims=True)
         moving = moving + climb * normals
+        seen_from = np.stack(
+            [np.bincount(row, weight / weights[col] * sights[col, k], size) for k in (0, 1)], axis=1
+        )
+        away = np.sum(normals * seen_from, axis=1, keepdims=True) < 0.0
+        normals = np.where(away, -normals, normals)
     supported = support > 0.25 * np.median(support) if len(support) else np.empty(0, np.bool_)
     return _one_per_cell(moving[supported], normals[supported], support[supported], cell_m)
 
@@ -52,10 +64,9 @@ def thin_walls(
 def _one_per_cell(
     points: Array, normals: Array, support: Array, cell_m: float
 ) -> tuple[Array, Array]:
-    double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
     grid = SparseGrid(cell_m, 5)
-    columns = [np.ones(len(points)), points[:, 0], points[:, 1], np.cos(double), np.sin(double)]
-    grid.add(grid.keys_of(points), np.stack(columns, axis=1) * support[:, None])
+    columns = np.column_stack([np.ones(len(points)), points, normals])
+    grid.add(grid.keys_of(points), columns * support[:, None])
     weight = np.maximum(grid.sums[:, 0:1], 1e-12)
-    direction = 0.5 * np.arctan2(grid.sums[:, 4], grid.sums[:, 3])
-    return grid.sums[:, 1:3] / weight, np.stack([np.cos(direction), np.sin(direction)], axis=1)
+    length = np.maximum(np.linalg.norm(grid.sums[:, 3:5], axis=1, keepdims=True), 1e-12)
+    return grid.sums[:, 1:3] / weight, grid.sums[:, 3:5] / length

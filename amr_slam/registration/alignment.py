@@ -5,9 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
 from scipy.spatial import cKDTree
 
 from amr_slam.geometry import Array, Pose2, readonly
+
+# A wall seen from its other side counts as this much times two farther away.
+_SIDE_M = 0.2
+
+
+def facing(points_m: Array, normals: Array) -> Array:
+    """(..., 4) features whose distance is that of the points, plus that of their directions."""
+    return np.concatenate([points_m, _SIDE_M * normals], axis=-1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -17,7 +26,7 @@ class Target:
     points_m: Array
     """(n, 2) in the map frame."""
     normals: Array
-    """(n, 2) unit normals, (0, 0) where unknown. Their sign carries no meaning."""
+    """(n, 2) unit normals that face where the wall was seen from; (0, 0) where unknown."""
     spacing_m: float = 0.05
     """Distance of neighbouring points along a wall."""
 
@@ -32,6 +41,11 @@ class Target:
     def tree(self) -> cKDTree:
         """Nearest-neighbour index over the points, built on first use."""
         return cKDTree(self.points_m)
+
+    @cached_property
+    def facing_tree(self) -> cKDTree:
+        """Index over :func:`facing` of the points: the two sides of a thin wall lie apart."""
+        return cKDTree(facing(self.points_m, self.normals))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2, wrap_angle
-from amr_slam.registration.alignment import Alignment, Target
+from amr_slam.registration.alignment import Alignment, Target, facing
 
 # Below this many correspondences three unknowns are not determined by noisy points.
 _MIN_CORRESPONDENCES = 6
@@ -123,18 +123,25 @@ def _correspond(
     c, s = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
     px, py = source.points_m[:, 0], source.points_m[:, 1]
     moved = np.stack([c * px - s * py + poses[:, 0:1], s * px + c * py + poses[:, 1:2]], axis=2)
-    reach = max(params.reach_m, kernel) if params.metric == "line" else np.inf
-    distance, index = target.tree.query(moved.reshape(-1, 2), distance_upper_bound=reach)
-    valid = np.isfinite(distance).reshape(moved.shape[:2])
-    index = np.where(np.isfinite(distance), index, 0).reshape(moved.shape[:2])
+    shape = moved.shape[:2]
+    if params.metric == "point":
+        _, index = target.tree.query(moved.reshape(-1, 2))
+        index = np.asarray(index).reshape(shape)
+        return _Pairs(
+            moved, target.points_m[index], target.normals[index], np.ones(shape, dtype=np.bool_)
+        )
+    nx, ny = source.normals[:, 0], source.normals[:, 1]
+    turned = np.stack([c * nx - s * ny, s * nx + c * ny], axis=2)
+    distance, index = target.facing_tree.query(
+        facing(moved, turned).reshape(-1, 4), distance_upper_bound=max(params.reach_m, kernel)
+    )
+    found = np.isfinite(distance).reshape(shape)
+    index = np.where(found, np.asarray(index).reshape(shape), 0)
     normals = target.normals[index]
-    if params.metric == "line":
-        nx, ny = source.normals[:, 0], source.normals[:, 1]
-        turned = np.stack([c * nx - s * ny, s * nx + c * ny], axis=2)
-        agreement = np.abs(np.sum(turned * normals, axis=2))
-        target_known = np.any(normals != 0.0, axis=2)
-        limit = np.cos(np.radians(params.normals_agree_deg))
-        valid &= target_known & ((agreement >= limit) | ~source.has_normal)
+    agreement = np.sum(turned * normals, axis=2)
+    limit = np.cos(np.radians(params.normals_agree_deg))
+    valid = found & np.any(normals != 0.0, axis=2)
+    valid &= (agreement >= limit) | ~source.has_normal
     return _Pairs(moved, target.points_m[index], normals, valid)
 
 
