@@ -84,6 +84,8 @@ class Motion:
     """``start_from_end`` of the base frame."""
     covariance: Array
     """(3, 3) read-only: of delta's (x, y, theta) in the end's frame, body (right) perturbation."""
+    gap: bool = False
+    """True: the wheels could not tell; delta is no measurement, covariance is what may have been."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", readonly(self.covariance))

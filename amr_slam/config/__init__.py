@@ -1,0 +1,27 @@
+"""The configuration: TOML in, one frozen tree out, or one line that says what is wrong where."""
+
+from amr_slam.config.checking import ConfigError
+from amr_slam.config.tree import (
+    Config,
+    MapSettings,
+    MountingSettings,
+    OdometrySettings,
+    RobotSettings,
+    ScannerSettings,
+    ServiceSettings,
+    load,
+    parse,
+)
+
+__all__ = [
+    "Config",
+    "ConfigError",
+    "MapSettings",
+    "MountingSettings",
+    "OdometrySettings",
+    "RobotSettings",
+    "ScannerSettings",
+    "ServiceSettings",
+    "load",
+    "parse",
+]
