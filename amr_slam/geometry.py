@@ -26,10 +26,12 @@ def wrap_angle(angle_rad: float | Array) -> float | Array:
     """The same angle in (-pi, pi]; floats stay floats, arrays keep their shape."""
     if isinstance(angle_rad, np.ndarray):
         wrapped: Array = math.pi - np.mod(math.pi - angle_rad, 2.0 * math.pi)
-        return wrapped
+        # A hair above pi, the modulus rounds up to the whole turn.
+        return np.where(wrapped <= -math.pi, math.pi, wrapped)
     if -math.pi < angle_rad <= math.pi:
         return float(angle_rad)
-    return math.pi - (math.pi - float(angle_rad)) % (2.0 * math.pi)
+    turned = math.pi - (math.pi - float(angle_rad)) % (2.0 * math.pi)
+    return math.pi if turned <= -math.pi else turned
 
 
 def rotation_matrix(theta_rad: float) -> Array:
