@@ -535,7 +535,7 @@ def test_the_covariance_is_true(inflation: float, correlation: float) -> None:
 
 
 def test_correlated_fixes_are_the_reason_for_the_inflation() -> None:
-    runs = [nees_of_one_run(seed, PLAIN, 0.7) for seed in range(100)]
+    runs = [nees_of_one_run(seed, PLAIN, 0.7) for seed in range(60)]
     assert float(np.mean(runs)) > 3.87
     assert FilterParams().fix_inflation == 2.0
 
