@@ -18,6 +18,9 @@ from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2, rotation_matrix
 from amr_slam.registration.alignment import Alignment, Target
 
+# Square metres: finer than any scanner, and the mixture's densities stay numbers.
+_LEAST_VARIANCE = 1e-9
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CpdParams:
@@ -43,7 +46,8 @@ def align(source: Cloud, target: Target, initial: Pose2, params: CpdParams) -> A
     if len(points) < 3 or len(data) < 3:
         return _result(initial, 0.0, 0.0, 0, converged=False)
     rotation, translation = np.eye(2), np.zeros(2)
-    variance = _spread(data, points)
+    # Differences of large numbers: points all in one place may come out below nothing.
+    variance = max(_spread(data, points), _LEAST_VARIANCE)
     weight, iteration, converged = 0.0, 0, False
     while iteration < params.max_iterations and not converged:
         iteration += 1
@@ -52,7 +56,7 @@ def align(source: Cloud, target: Target, initial: Pose2, params: CpdParams) -> A
         )
         rotation, translation, new_variance, weight = maximization(data, points, probability)
         converged = abs(new_variance - variance) <= params.tolerance * variance
-        variance = max(new_variance, 1e-9)
+        variance = max(new_variance, _LEAST_VARIANCE)
     correction = Pose2(
         translation[0], translation[1], math.atan2(rotation[1, 0], rotation[0, 0])
     )  # fmt: skip
