@@ -12,6 +12,7 @@ import numpy as np
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import MapParams, PointMap
+from amr_slam.registration.alignment import Target
 from amr_slam.simulation import (
     PERSON_RADIUS_M,
     ScannerModel,
@@ -125,3 +126,29 @@ def covered_poses(seed: int, count: int, draw: int = 0) -> Iterator[Pose2]:
 
 def heading_error_rad(a: Pose2, b: Pose2) -> float:
     return abs((a.inverse() @ b).theta_rad)
+
+
+def plain_cloud(points_m: Array, normals: Array | None = None, sigma_m: float = 0.0) -> Cloud:
+    """Points as if seen from the origin, each in full weight; normals unknown unless given."""
+    return Cloud(
+        stamp_ns=0,
+        points_m=points_m,
+        normals=np.zeros_like(points_m) if normals is None else normals,
+        origins_m=np.zeros_like(points_m),
+        weights=np.ones(len(points_m)),
+        sigma_m=sigma_m,
+    )
+
+
+def exact_target(world: World, spacing_m: float = 0.05) -> Target:
+    """The walls themselves, free space to the left of each segment."""
+    points, normals = [], []
+    for x1, y1, x2, y2 in world.segments_m:
+        length = math.hypot(x2 - x1, y2 - y1)
+        along = np.arange(0.5 * spacing_m, length, spacing_m)[:, None]
+        direction = np.array([x2 - x1, y2 - y1]) / length
+        points.append(np.array([x1, y1]) + along * direction)
+        normals.append(np.broadcast_to([-direction[1], direction[0]], (len(along), 2)))
+    return Target(
+        points_m=np.concatenate(points), normals=np.concatenate(normals), spacing_m=spacing_m
+    )
