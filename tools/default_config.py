@@ -13,7 +13,7 @@ import re
 import textwrap
 from collections.abc import Iterator
 from dataclasses import MISSING, Field, fields, is_dataclass
-from typing import Any, get_type_hints
+from typing import Any, cast, get_type_hints
 
 from amr_drivers import registry
 from amr_slam import config
@@ -55,25 +55,30 @@ def render() -> str:
     return "\n".join([*_comment(HEAD), "", *lines]).rstrip() + "\n"
 
 
-def _section(path: str, cls: type[Any]) -> Iterator[str]:
-    """One table; nested dataclasses follow as tables of their own."""
-    yield from _comment((inspect.getdoc(cls) or "").partition("\n\n")[0])
+def _section(path: str, cls: type[Any], default: Any = MISSING, doc: str = "") -> Iterator[str]:
+    """One table; nested dataclasses follow as tables of their own.
+
+    ``default``: what the class around this one starts from, if that is not this one's own.
+    """
+    yield from _comment(doc or (inspect.getdoc(cls) or "").partition("\n\n")[0])
     yield f"[[{path}]]" if path == "scanners" else f"[{path}]"
     if path in CHOICES:
         key, value, doc = CHOICES[path]
         yield from [*_comment(doc), f"{key} = {json.dumps(value)}"]
     docs, hints = _field_docs(cls), get_type_hints(cls)
-    tables = {"options": _settings(path)} if "options" in hints else {}
+    tables: list[Iterator[str]] = []
     for field in fields(cls):
-        if is_dataclass(hints[field.name]):
-            tables[field.name] = hints[field.name]
-        elif field.name != "options":
-            yield from _key(
-                f"{path}.{field.name}", _default(f"{path}.{field.name}", field), docs[field.name]
-            )
+        key, hint, about = f"{path}.{field.name}", hints[field.name], docs.get(field.name, "")
+        if field.name == "options":
+            tables.append(_section(key, _settings(path)))
+            continue
+        value = _own_default(field) if default is MISSING else getattr(default, field.name)
+        if is_dataclass(hint):
+            tables.append(_section(key, cast("type[Any]", hint), value, about))
+        else:
+            yield from _key(key, REQUIRED[key] if value is MISSING else value, about)
     yield ""
-    for name, table in tables.items():
-        yield from _section(f"{path}.{name}", table)
+    yield from itertools.chain.from_iterable(tables)
 
 
 def _settings(path: str) -> type[Any]:
@@ -93,10 +98,11 @@ def _comment(text: str) -> list[str]:
     return [f"# {line}" for line in textwrap.wrap(plain, 97)]
 
 
-def _default(path: str, field: Field[Any]) -> Any:
+def _own_default(field: Field[Any]) -> Any:
+    """MISSING where there is none."""
     if field.default_factory is not MISSING:
         return field.default_factory()
-    return REQUIRED[path] if field.default is MISSING else field.default
+    return field.default
 
 
 def _field_docs(cls: type[Any]) -> dict[str, str]:
