@@ -31,17 +31,16 @@ class ConfigError(Exception):
 
     def __init__(self, reason: str, path: tuple[str | int, ...] = (), file: Path | None = None):
         super().__init__(reason, path, file)
-        self.reason = "".join(c if c.isprintable() else "?" for c in " ".join(reason.split()))
-        """One line."""
+        self.reason = " ".join(reason.split())
         self.path = path
         """From the top of the file down to the key; numbers count tables of a list from 0."""
         self.file = file
 
     def __str__(self) -> str:
         key = "".join(f"[{p}]" if isinstance(p, int) else f".{_shown_key(p)}" for p in self.path)
-        return ": ".join(
-            part for part in (str(self.file or ""), key.lstrip("."), self.reason) if part
-        )
+        parts = (str(self.file or ""), key.lstrip("."), self.reason)
+        line = ": ".join(part for part in parts if part)
+        return "".join(c if c.isprintable() else "?" for c in line)
 
 
 @contextmanager
@@ -66,7 +65,9 @@ def read_toml(file: Path) -> dict[str, Any]:
             raise ConfigError(error.strerror or str(error)) from error
         except RecursionError as error:
             raise ConfigError("nested too deeply") from error
-        except ValueError as error:  # TOMLDecodeError, UnicodeDecodeError, numbers of 5000 digits
+        except UnicodeDecodeError as error:
+            raise ConfigError(f"not UTF-8: {error.reason} at byte {error.start}") from error
+        except ValueError as error:  # TOMLDecodeError, numbers of 5000 digits
             raise ConfigError(f"not TOML: {error}") from error
 
 
@@ -85,6 +86,8 @@ def checked(cls: type[_T], table: Mapping[str, Any], base: _T | None = None) -> 
         raise _first(error, twin) from error
     except RecursionError as error:
         raise ConfigError("nested too deeply") from error
+    except ValueError as error:  # TOML's hexadecimal numbers have no limit, JSON's decimal ones do
+        raise ConfigError("a number in it has thousands of digits") from error
     instance: _T = _built(model, base)
     return instance
 
@@ -145,16 +148,18 @@ def _first(failed: ValidationError, twin: type[_Twin]) -> ConfigError:
     errors = failed.errors(include_url=False, include_context=False)
     error = min(errors, key=lambda e: e["type"] != "extra_forbidden")
     path = error["loc"]
+    if error["type"] == "json_invalid":  # our own JSON: only its depth can be wrong
+        return ConfigError("nested too deeply")
     if error["type"] == "extra_forbidden":
         reason = _unknown_key(str(path[-1]), _keys_at(twin, path[:-1]))
     elif error["type"] == "missing":
         reason = "is missing"
     elif error["type"] in {"model_type", "dict_type"}:
-        reason = f"should be a table, not {_shown(error['input'])}"
+        reason = f"should be a table, not {shown(error['input'])}"
     else:
         reason = error["msg"].removeprefix("Input ").removeprefix("Value error, ")
         if not isinstance(error["input"], dict | list):
-            reason += f", not {_shown(error['input'])}"
+            reason += f", not {shown(error['input'])}"
     if len(errors) > 1:
         reason += f" (and {len(errors) - 1} more)"
     return ConfigError(reason, path)
@@ -180,14 +185,14 @@ def _twin_in(annotation: Any) -> type[_Twin] | None:
     return next(filter(None, map(_twin_in, get_args(annotation))), None)
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """As it stands in the file, on one line, of bounded length."""
-    text = json.dumps(value, ensure_ascii=False)
+    text = json.dumps(value, ensure_ascii=False, default=str)
     return text if len(text) <= _MAX_SHOWN else text[:_MAX_SHOWN] + "..."
 
 
 def _shown_key(key: str) -> str:
-    return key if key.replace("_", "").replace("-", "").isalnum() else _shown(key)
+    return key if key.replace("_", "").replace("-", "").isalnum() else shown(key)
 
 
 def _date(value: object) -> dict[str, str]:

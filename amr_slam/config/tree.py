@@ -6,11 +6,12 @@ directory, not at the configuration file.
 
 from __future__ import annotations
 
+import difflib
 import math
 import os.path
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, get_args
 
@@ -18,7 +19,7 @@ from annotated_types import Ge, Gt, Interval, Len
 from pydantic import AfterValidator
 
 from amr_drivers import registry
-from amr_slam.config.checking import ConfigError, checked, located, read_toml
+from amr_slam.config.checking import ConfigError, checked, located, read_toml, shown
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
@@ -169,11 +170,11 @@ def parse(table: Mapping[str, Any]) -> Config:
     """The configuration in a table as TOML gives it. Raises ConfigError."""
     read = checked(_File, table)
     with located("drive"):
-        drive, rest = _chosen(read.drive, "kind", DRIVES)
+        drive, rest = _chosen(read.drive, "kind", DRIVES, *DRIVES.values())
         motion: Odometry = checked(drive, rest)
     with located("slam"):
         presets: dict[str, Preset] = {name: name for name in get_args(Preset)}
-        base, rest = _chosen({"preset": "default"} | read.slam, "preset", presets)
+        base, rest = _chosen(read.slam, "preset", presets, SlamParams, default="default")
         slam = checked(SlamParams, rest, preset(base))
     with located("odometry"):
         options = _driver_options(registry.odometry_module, read.odometry)
@@ -220,13 +221,25 @@ def _cross_check(config: Config) -> None:
             raise ConfigError(f"there is no file {config.map.path}")
 
 
-def _chosen(table: dict[str, Any], key: str, among: Mapping[str, _T]) -> tuple[_T, dict[str, Any]]:
-    """What ``table[key]`` names, and the rest of the table."""
+def _chosen(
+    table: Mapping[str, Any],
+    key: str,
+    among: Mapping[str, _T],
+    *others: type[Any],
+    default: str | None = None,
+) -> tuple[_T, dict[str, Any]]:
+    """What ``table[key]`` names, and the rest of the table: the keys of the ``others``."""
     rest = dict(table)
     name = rest.pop(key, None)
+    if name is None:
+        strangers = rest.keys() - {field.name for other in others for field in fields(other)}
+        for stranger in difflib.get_close_matches(key, sorted(strangers), n=1):
+            raise ConfigError(f"unknown key; did you mean {key}?", (stranger,))
+        name = default
+    if name is None:
+        raise ConfigError("is missing", (key,))
     if not isinstance(name, str) or name not in among:
-        known = ", ".join(among)
-        raise ConfigError("is missing" if name is None else f"should be one of: {known}", (key,))
+        raise ConfigError(f"should be one of: {', '.join(among)}; not {shown(name)}", (key,))
     return among[name], rest
 
 
