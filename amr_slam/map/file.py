@@ -200,8 +200,8 @@ def _params(raw: dict[str, Any]) -> MapParams:
     numbers = [value for value in asdict(params).values() if not isinstance(value, bool)]
     if not all(isinstance(value, int | float) and value >= 0.0 for value in numbers):
         raise ValueError("map parameters must be numbers")
-    if min(params.cell_m, params.free_cell_m) < 1e-3:
-        raise ValueError("cells of less than a millimetre")
+    if not all(1e-3 <= cell_m <= 1.0 for cell_m in (params.cell_m, params.free_cell_m)):
+        raise ValueError("cells must measure a millimetre to a metre")
     return params
 
 
@@ -209,6 +209,11 @@ def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
     for name in ("wall_sums", "space_sums", "path_poses"):
         if not np.all(np.isfinite(arrays[name])):
             raise ValueError(f"{name} holds numbers that are not finite")
+    walls = arrays["wall_sums"]
+    if np.any(walls[:, 0] < 1.0):
+        raise ValueError("wall cells without a point")
+    # Raises ValueError itself: such points would stop the first search instead of the loading.
+    grown.space.keys_of(walls[:, 1:3] / walls[:, :1])
     for grid, keys, sums in (
         (grown.walls, "wall_keys", "wall_sums"),
         (grown.space, "space_keys", "space_sums"),
