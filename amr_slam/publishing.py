@@ -8,12 +8,13 @@ robot directly and by a router (a router passes nothing from one peer on to anot
 from __future__ import annotations
 
 import json
+import logging
 import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final, Self, TypeVar
@@ -31,10 +32,13 @@ from amr_slam.wire import (
     robot_of,
 )
 
+_log = logging.getLogger(__name__)
+
 _ENCODING: Final = zenoh.Encoding.APPLICATION_JSON
 _MAX_INBOUND_BYTES: Final = 1 << 20  # zenoh's own default is 1 GiB: anyone could fill the memory
 _MAX_ROBOTS: Final = 1000  # names come from the network: bounds what a listener remembers
 _QUEUE_BATCHES: Final = 16  # the default of 2 loses poses when the processor is busy
+_HANDSHAKE_MS: Final = 2000  # closing waits for one with a frozen router; zenoh's own is 10 s
 _RETRY: Final = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
 
 
@@ -42,12 +46,15 @@ _MessageT = TypeVar("_MessageT", PoseMessage, StatusMessage)
 
 
 class PublishingError(Exception):
-    """The session could not be opened: port in use, nobody at the endpoint. One line."""
+    """The session could not be opened: port in use, nobody at the endpoint, a name that makes no
+    key. One line."""
 
 
 def _open(options: dict[str, Any], endpoints: Sequence[str]) -> zenoh.Session:
     common: dict[str, Any] = {
         "connect/retry": _RETRY,
+        "transport/unicast/open_timeout": _HANDSHAKE_MS,
+        "transport/unicast/accept_timeout": _HANDSHAKE_MS,
         "transport/link/rx/max_message_size": _MAX_INBOUND_BYTES,
         "transport/link/tx/queue/size/real_time": _QUEUE_BATCHES,
         # Messages are small, and a killed process leaves its shared memory behind.
@@ -59,13 +66,31 @@ def _open(options: dict[str, Any], endpoints: Sequence[str]) -> zenoh.Session:
             config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
     except zenoh.ZError as error:
-        reason = str(error).split(" at /", maxsplit=1)[0].replace("\n", " ")
-        raise PublishingError(f"zenoh {', '.join(endpoints)}: {reason}") from error
+        raise PublishingError(f"zenoh {', '.join(endpoints)}: {_reason(error)}") from error
+
+
+def _reason(error: zenoh.ZError) -> str:
+    """What zenoh says, without the places in its sources."""
+    return " ".join(str(error).split(" at /", maxsplit=1)[0].split())
+
+
+@contextmanager
+def _declaring(session: zenoh.Session) -> Iterator[None]:
+    """Not left open when a name makes no key."""
+    try:
+        yield
+    except zenoh.ZError as error:
+        _close(session)
+        raise PublishingError(f"zenoh: {_reason(error)}") from error
 
 
 def _close(session: zenoh.Session) -> None:
-    if not session.is_closed():
+    if session.is_closed():
+        return
+    try:
         session.close()  # type: ignore[no-untyped-call]  # zenoh's stub leaves the result open
+    except zenoh.ZError as error:  # timed out on a frozen router: it is closed all the same
+        _log.warning("zenoh: %s", _reason(error))
 
 
 class _Topic:
@@ -118,9 +143,10 @@ class RobotPublisher:
             (*settings.listen, *settings.connect),
         )
         key = partial(robot_key, settings.prefix, robot)
-        self._pose = _Topic(self._session, key("pose"), zenoh.Priority.REAL_TIME)
-        self._status = _Topic(self._session, key("status"), zenoh.Priority.DATA_LOW)
-        self._alive = self._session.liveliness().declare_token(key("alive"))
+        with _declaring(self._session):
+            self._pose = _Topic(self._session, key("pose"), zenoh.Priority.REAL_TIME)
+            self._status = _Topic(self._session, key("status"), zenoh.Priority.DATA_LOW)
+            self._alive = self._session.liveliness().declare_token(key("alive"))
 
     def publish_pose(self, message: PoseMessage) -> None:
         self._pose.put(message.encode())
@@ -191,13 +217,14 @@ class FleetListener:
             },
             (endpoint,),
         )
-        for robot in robots or ("*",):
-            key = partial(robot_key, prefix, robot)
-            self._session.declare_subscriber(key("pose"), self._on_pose)
-            self._session.declare_subscriber(key("status"), self._on_status)
-            self._session.liveliness().declare_subscriber(
-                key("alive"), self._on_alive, history=True
-            )
+        with _declaring(self._session):
+            for robot in robots or ("*",):
+                key = partial(robot_key, prefix, robot)
+                self._session.declare_subscriber(key("pose"), self._on_pose)
+                self._session.declare_subscriber(key("status"), self._on_status)
+                self._session.liveliness().declare_subscriber(
+                    key("alive"), self._on_alive, history=True
+                )
 
     def views(self) -> dict[str, RobotView]:
         """The robots seen so far and those asked for, by name."""

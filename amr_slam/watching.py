@@ -17,6 +17,7 @@ from amr_slam.publishing import FleetListener, RobotView
 from amr_slam.samples import State
 from amr_slam.wire import UNKNOWN
 
+_CONNECT_TIMEOUT_S: Final = 5.0  # longer, and a mistyped address looks like a hang
 _REFRESH_S: Final = 0.25
 _LINE_PERIOD_S: Final = 1.0
 _STALE_S: Final = 0.5  # 25 poses at 50 Hz: older is not a pose to drive by
@@ -43,7 +44,9 @@ def watch(
     each robot. Raises PublishingError when nobody answers at ``endpoint``."""
     console = console or Console()
     stop = stop or threading.Event()
-    with FleetListener(endpoint, robots, prefix=prefix) as fleet:
+    with FleetListener(
+        endpoint, robots, prefix=prefix, connect_timeout_s=_CONNECT_TIMEOUT_S
+    ) as fleet:
         if not console.is_terminal:
             while not stop.wait(_LINE_PERIOD_S):
                 for view in _sorted(fleet.views()):

@@ -189,10 +189,11 @@ class PoseMessage(_Message):
         """``utc_from_monotonic_ns`` + the estimate's stamp is UTC in ns. Raises ValueError when
         the pose, its covariance or a speed is not finite: nothing is repaired on the way out."""
         pose, odom = estimate.map_from_base, estimate.odom_from_base
+        utc_ns = estimate.stamp_ns + utc_from_monotonic_ns
         return cls(
             robot=robot,
             seq=seq,
-            stamp=(estimate.stamp_ns + utc_from_monotonic_ns) / 1e9,
+            stamp=utc_ns / 1_000_000_000,  # by an int: ns above 2^53 would be rounded twice
             age_s=estimate.wheel_age_s,
             map=map_id,
             epoch=estimate.epoch,
