@@ -70,8 +70,9 @@ def _open(options: dict[str, Any], endpoints: Sequence[str]) -> zenoh.Session:
 
 
 def _reason(error: zenoh.ZError) -> str:
-    """What zenoh says, without the places in its sources."""
-    return " ".join(str(error).split(" at /", maxsplit=1)[0].split())
+    """What zenoh says, without the places in its sources and the names of its types."""
+    text = " ".join(str(error).split(" at /", maxsplit=1)[0].rpartition('msg: "')[2].split())
+    return "nobody answers" if text.startswith("Unable to connect") else text
 
 
 @contextmanager
