@@ -155,7 +155,7 @@ def cloud_from_scan(
         points_m=points[keep],
         normals=np.where(known[:, None], normals, 0.0)[keep],
         origins_m=origins[keep],
-        weights=np.clip(spacing[beams] / _FULL_WEIGHT_M, 0.05, 1.0)[keep],
+        weights=np.clip(spacing[beams] / _FULL_WEIGHT_M, 0.01, 1.0)[keep],
         sigma_m=range_noise(np.where(usable, ranges, np.nan)),
     )
 

@@ -22,6 +22,9 @@ from amr_slam.registration.error import mean_below, nearest
 from amr_slam.registration.icp import Prior
 from amr_slam.registration.rdnm import as_pose, rdn, rdnm
 
+# Half a metre of surface, in points of full weight: a post or a speck fits anywhere.
+_LEAST_WEIGHT = 10.0
+
 
 class Rung(enum.StrEnum):
     """The steps of the ladder, quickest first."""
@@ -158,6 +161,8 @@ def refine_and_decide(
     """ICP from every rough pose, the scan's fit at each result, and the verdict."""
     if not len(X) or not len(target):
         return unknown("the scan is empty" if not len(X) else "the map is empty", rung)
+    if X.weights.sum() < _LEAST_WEIGHT:
+        return unknown("the scan shows less than half a metre of surface", rung)
     if not rough:
         return unknown("no candidate place: the map shows no free space", rung)
     alignments = icp.align_many(X, target, rough, params.icp, prior)
