@@ -128,14 +128,16 @@ def heading_error_rad(a: Pose2, b: Pose2) -> float:
     return abs((a.inverse() @ b).theta_rad)
 
 
-def plain_cloud(points_m: Array, normals: Array | None = None, sigma_m: float = 0.0) -> Cloud:
-    """Points as if seen from the origin, each in full weight; normals unknown unless given."""
+def plain_cloud(
+    points_m: Array, normals: Array | None = None, sigma_m: float = 0.0, weight: float = 1.0
+) -> Cloud:
+    """Points as if seen from the origin, all of one weight; normals unknown unless given."""
     return Cloud(
         stamp_ns=0,
         points_m=points_m,
         normals=np.zeros_like(points_m) if normals is None else normals,
         origins_m=np.zeros_like(points_m),
-        weights=np.ones(len(points_m)),
+        weights=np.full(len(points_m), weight),
         sigma_m=sigma_m,
     )
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from labs import EXACT, room, world_of
 
-from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge, range_noise
+from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
 from amr_slam.geometry import Array, Pose2
 from amr_slam.samples import Scan
 from amr_slam.simulation import laboratory, take_scan
@@ -38,10 +38,14 @@ def test_noise_is_estimated_from_the_scan_itself(sigma: float, seed: int) -> Non
         assert 0.9 < np.mean(found) / sigma < most
 
 
-def test_too_few_readings_tell_no_noise() -> None:
-    assert range_noise(np.full(9, 2.0)) == 0.0
-    assert range_noise(np.array([])) == 0.0
-    assert range_noise(np.full(541, math.nan)) == 0.0
+@pytest.mark.parametrize("readings", [0, 4, 9])
+def test_too_few_readings_tell_no_noise(readings: int) -> None:
+    scan = take_scan(
+        replace(EXACT, sigma_range_m=0.02), room(), Pose2(3, 2, 0), np.random.default_rng(0)
+    )
+    ranges = np.full(541, math.nan)
+    ranges[:readings] = scan.ranges_m[:readings]
+    assert cloud_of(replace(scan, ranges_m=ranges)).sigma_m == 0.0
 
 
 @pytest.mark.parametrize("slant_deg", [0.0, 20.0, 40.0])
