@@ -1,0 +1,135 @@
+"""Replay recordings of real robots at 0.5 Hz and compare with published references.
+
+Prints a Markdown table. The logs are no part of the repository: they are looked for under
+``$AMR_SLAM_SHARED/data/logs``, by default beside the repository in ``../shared/data/logs``.
+
+Example: python benchmarks/real_logs.py intel --keep out/logs
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from amr_slam.evaluation import TrajectoryError, absolute_trajectory_error
+from amr_slam.recording import RecordingError, Trajectory, read_log, read_tum
+from amr_slam.samples import OdometrySample
+
+REPO: Final = Path(__file__).resolve().parent.parent
+LOGS: Final = Path(os.environ.get("AMR_SLAM_SHARED", REPO.parent / "shared")) / "data/logs"
+README_LOGS: Final = ("intel", "mit_csail", "acapulco")
+SCAN_PERIOD_S: Final = 2.0
+MAX_GAP_S: Final = 2.0
+"""A reference's stamp counts where poses no farther apart than this enclose it."""
+
+HEADER: Final = (
+    "| log | duration s | scans | x real time | reference (stamps) | wheels alone | online | final "
+    "| refused | epochs |\n|---|--:|--:|--:|---|--:|--:|--:|--:|--:|"
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Run:
+    """What ``amr-slam replay`` made of one log."""
+
+    report: dict[str, Any]
+    took_s: float
+    """The whole command, from its start to its end."""
+    wheels: Trajectory
+    online: Trajectory
+    final: Trajectory
+
+
+def main() -> int:
+    """Parse, replay log by log, print a row for each reference."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("logs", nargs="*", default=README_LOGS, help="names without their endings")
+    parser.add_argument("--keep", type=Path, help="folder for trajectories, maps and reports")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = arguments.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        print(HEADER, flush=True)
+        try:
+            for name in arguments.logs:
+                for row in rows(name, replayed(LOGS / f"{name}.log.gz", folder)):
+                    print(row, flush=True)
+        except (RecordingError, ValueError, OSError, subprocess.CalledProcessError) as error:
+            print(f"real_logs: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def replayed(log: Path, folder: Path) -> Run:
+    """Replay as the README tells everybody to. Raises what reading and the command raise."""
+    wheels = [s for s in read_log(log).samples if isinstance(s, OdometrySample)]
+    base = folder / log.name.split(".", 1)[0]
+    online, final, report = (base.with_suffix(e) for e in (".tum", ".final.tum", ".json"))
+    command = [
+        *(sys.executable, "-m", "amr_slam", "replay", str(log)),
+        *("--scan-period", f"{SCAN_PERIOD_S:g}", "--lidar", "0,0,0"),
+        *("--out", str(online), "--out-final", str(final)),
+        *("--map-out", str(base.with_suffix(".amrmap")), "--report", str(report)),
+    ]
+    begun_s = time.perf_counter()
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    took_s = time.perf_counter() - begun_s
+    return Run(
+        report=json.loads(report.read_text("utf-8")),
+        took_s=took_s,
+        wheels=Trajectory(
+            stamps_ns=np.array([sample.stamp_ns for sample in wheels], dtype=np.int64),
+            poses=np.array([sample.odom_from_base.as_array() for sample in wheels]),
+        ),
+        online=read_tum(online),
+        final=read_tum(final),
+    )
+
+
+def rows(name: str, run: Run) -> Iterator[str]:
+    """One line of the table for each reference of a log. Raises ValueError where it has none."""
+    references = sorted(LOGS.glob(f"{name}.corrected*.tum"))
+    if not references:
+        raise ValueError(f"{LOGS}: no reference for {name}")
+    report = run.report
+    for path in references:
+        reference = read_tum(path)
+        wheels, online, final = (
+            absolute_trajectory_error(trajectory, reference, max_gap_s=MAX_GAP_S)
+            for trajectory in (run.wheels, run.online, run.final)
+        )
+        kind = path.name.removeprefix(f"{name}.").removesuffix(".tum")
+        cells = (
+            name,
+            f"{report['duration_s']:.0f}",
+            f"{report['scans_used']} of {report['scans_in_log']}",
+            f"{report['duration_s'] / run.took_s:.0f}",
+            f"{kind} ({online.matched} of {len(reference)})",
+            f"{wheels.position_m.rms:.2f}",
+            _rms_median(online),
+            _rms_median(final),
+            f"{report['refused_by_fusion']}",
+            f"{report['epoch']}",
+        )
+        yield f"| {' | '.join(cells)} |"
+
+
+def _rms_median(error: TrajectoryError) -> str:
+    return f"{error.position_m.rms:.3f} / {error.position_m.median:.3f}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
