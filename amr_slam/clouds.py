@@ -63,19 +63,21 @@ class Cloud:
         return np.asarray(np.any(self.normals != 0.0, axis=1))
 
 
-def range_noise(ranges_m: Array) -> float:
-    """Standard deviation of one range in m, from second differences of neighbouring ranges.
+def range_noise(ranges_m: Array, step_rad: float) -> float:
+    """Standard deviation of one range in m, from neighbouring triples of ranges (n,).
 
-    Robust (median absolute deviation), so corners and gaps do not count; NaN-free input is not
-    needed. Returns 0 where fewer than 8 neighbours tell. Source: the variance of
-    r[i-1] - 2 r[i] + r[i+1] is 6 sigma^2.
+    On a straight wall u = 1/r obeys u[i-1] + u[i+1] = 2 cos(step) u[i] exactly, however oblique
+    it is; what is left, times r^2, has a variance of 6 sigma^2. The median absolute deviation
+    ignores corners and gaps; NaN and inf are skipped. 0 where fewer than 8 triples tell.
     """
-    with np.errstate(invalid="ignore"):
-        second = ranges_m[:-2] - 2.0 * ranges_m[1:-1] + ranges_m[2:]
-    second = second[np.isfinite(second)]
-    if len(second) < 8:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        inverse = 1.0 / ranges_m
+        left = inverse[:-2] + inverse[2:] - 2.0 * math.cos(step_rad) * inverse[1:-1]
+        left = left * ranges_m[1:-1] ** 2
+    left = left[np.isfinite(left)]
+    if len(left) < 8:
         return 0.0
-    return float(1.4826 * np.median(np.abs(second)) / math.sqrt(6.0))
+    return float(1.4826 * np.median(np.abs(left)) / math.sqrt(6.0))
 
 
 def _surface(points: Array, spacing: Array, params: CloudParams) -> tuple[Array, Array]:
@@ -156,7 +158,7 @@ def cloud_from_scan(
         normals=np.where(known[:, None], normals, 0.0)[keep],
         origins_m=origins[keep],
         weights=np.clip(spacing[beams] / _FULL_WEIGHT_M, 0.01, 1.0)[keep],
-        sigma_m=range_noise(np.where(usable, ranges, np.nan)),
+        sigma_m=range_noise(np.where(usable, ranges, np.nan), scan.angle_step_rad),
     )
 
 

@@ -5,6 +5,7 @@ Runs in a process of its own in the daemon and in line in a replay; it knows nei
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -16,7 +17,16 @@ from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration.icp import Prior, points_alone
 from amr_slam.samples import SlamPose
-from amr_slam.slam import Answer, Hypothesis, Rung, Verdict, slam_absolute, slam_relative, unknown
+from amr_slam.slam import (
+    Answer,
+    Hypothesis,
+    Rung,
+    Verdict,
+    objection,
+    slam_absolute,
+    slam_relative,
+    unknown,
+)
 
 Mode = Literal["mapping", "localization"]
 
@@ -83,13 +93,23 @@ class SlamEngine:
             return slam_absolute(cloud, self.map, self.params)
         # A growing map lacks the very places where the robot is: there, a search of the whole map
         # finds look-alikes, so the last rung stays around the expected pose.
-        answer = unknown("the ladder has no rung")
+        answers: list[Answer] = []
         for answer in slam_relative(
             cloud, self.map, prior, self.params, everywhere=self.mode == "localization"
         ):
-            if answer.verdict is Verdict.ACCEPTED or self._new_territory(answer):
+            if self._settles(answer) or self._new_territory(answer):
                 return answer
-        return answer
+            answers.append(answer)
+        # A poor fit near the expected pose counts once the search around found nothing better.
+        accepted = [answer for answer in answers if answer.verdict is Verdict.ACCEPTED]
+        return max(accepted, key=_score, default=answers[-1])
+
+    def _settles(self, answer: Answer) -> bool:
+        return (
+            answer.verdict is Verdict.ACCEPTED
+            and answer.best is not None
+            and objection(answer.best, self.params.settled) is None
+        )
 
     def _found(self, request: SlamRequest) -> SlamResult:
         """The first scan founds the map: its frame is where the robot stands."""
@@ -145,6 +165,10 @@ class SlamEngine:
             map_scans=len(self.map.path),
             map_points=len(self.map),
         )
+
+
+def _score(answer: Answer) -> float:
+    return answer.best.score if answer.best is not None else -math.inf
 
 
 def _prior(request: SlamRequest) -> Prior | None:

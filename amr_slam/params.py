@@ -67,6 +67,10 @@ class SlamParams:
         default_factory=lambda: Acceptance(inliers=0.5, conflict=0.3, known=0.35, margin=0.0)
     )
     """What a pose near the expected one must show."""
+    settled: Acceptance = field(
+        default_factory=lambda: Acceptance(inliers=0.75, conflict=0.12, known=0.0, margin=0.0)
+    )
+    """What it must show to end the search: a poorer one counts if the later rungs find none."""
     absolute: Acceptance = field(
         default_factory=lambda: Acceptance(inliers=0.7, conflict=0.08, known=0.7, margin=0.2)
     )
@@ -109,6 +113,7 @@ def preset(name: Preset) -> SlamParams:
         absolute_candidates=1,
         local_candidates=1,
         relative=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
+        settled=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
         absolute=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
         rescue=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
     )

@@ -35,11 +35,12 @@ _NAMESPACE = uuid.UUID("6f1c1f5e-5d0b-4c3b-9c0e-2a4f6a3b7d10")
 # Arrays of version 1, in the file's order: name -> (dtype, columns; 0 = one-dimensional).
 _ARRAYS = {
     "wall_keys": ("<i8", 0),
-    "wall_sums": ("<f8", 8),
+    "wall_sums": ("<f8", 7),
     "space_keys": ("<i8", 0),
     "space_sums": ("<f8", 2),
     "path_stamps_ns": ("<i8", 0),
     "path_poses": ("<f8", 3),
+    "path_noises_m": ("<f8", 0),
 }
 
 
@@ -99,6 +100,7 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
         "space_sums": grown.space.sums,
         "path_stamps_ns": np.array([stamp for stamp, _ in grown.path], dtype=np.int64),
         "path_poses": np.array([pose.as_array() for _, pose in grown.path]).reshape(-1, 3),
+        "path_noises_m": np.array(grown.noises_m, dtype=np.float64),
     }
     content = b"".join(
         np.ascontiguousarray(array, dtype=_ARRAYS[name][0]).tobytes()
@@ -206,7 +208,7 @@ def _params(raw: dict[str, Any]) -> MapParams:
 
 
 def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
-    for name in ("wall_sums", "space_sums", "path_poses"):
+    for name in ("wall_sums", "space_sums", "path_poses", "path_noises_m"):
         if not np.all(np.isfinite(arrays[name])):
             raise ValueError(f"{name} holds numbers that are not finite")
     walls = arrays["wall_sums"]
@@ -221,10 +223,12 @@ def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
         if len(arrays[keys]) != len(arrays[sums]) or np.any(np.diff(arrays[keys]) <= 0):
             raise ValueError(f"{keys} must be sorted and match {sums}")
         grid.keys, grid.sums = arrays[keys], arrays[sums]
-    if len(arrays["path_poses"]) != len(arrays["path_stamps_ns"]):
-        raise ValueError("the path's stamps and poses differ in number")
+    lengths = {len(arrays[name]) for name in ("path_poses", "path_stamps_ns", "path_noises_m")}
+    if len(lengths) != 1:
+        raise ValueError("the path's stamps, poses and noises differ in number")
     grown.path = [
         (int(stamp), Pose2.from_array(pose))
         for stamp, pose in zip(arrays["path_stamps_ns"], arrays["path_poses"], strict=True)
     ]
+    grown.noises_m = [float(noise) for noise in arrays["path_noises_m"]]
     grown.revision = 1

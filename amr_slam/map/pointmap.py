@@ -30,8 +30,8 @@ class MapParams:
     """A ray is evidence of free space only up to this much before its end."""
     vanish_ratio: Annotated[float, Gt(0.0)] = 4.0
     """A point whose cell was passed this many times as often as hit is taken for gone."""
-    noisy_m: Annotated[float, Gt(0.0)] = 0.02
-    """Scans noisier than this leave bands, not lines: their walls are thinned."""
+    noisy_m: Annotated[float, Gt(0.0)] = 0.075
+    """Scans noisier than this (one and a half cells) leave bands, not lines: walls are thinned."""
     thin: bool = True
     """False keeps the band (the paper's union of scans)."""
 
@@ -48,8 +48,8 @@ class Known:
 
 # Points this near to a wall lie in a known place.
 _REACH_M = 0.3
-# Sums over the points of a cell: count, x, y, cos 2phi, sin 2phi of the normals, sight x, y, noise.
-_CHANNELS = 8
+# Sums over the points of a cell: count, x, y, cos 2phi, sin 2phi of the normals, sight x, y.
+_CHANNELS = 7
 _SIGHT_M = 25.0
 
 
@@ -68,6 +68,8 @@ class PointMap:
         self.space = SparseGrid(params.free_cell_m, 2)  # scans that passed, scans that ended
         self.path: list[tuple[int, Pose2]] = []
         """(stamp ns, map_from_base) of each scan that the map is made of."""
+        self.noises_m: list[float] = []
+        """Noise of each of these scans."""
         self.revision = 0
         """+1 with each insertion: what is derived from the map is valid for one revision."""
         self._whole: tuple[int, Target] | None = None
@@ -97,13 +99,13 @@ class PointMap:
                 np.where(known, np.sin(double), 0.0),
                 sight[:, 0],
                 sight[:, 1],
-                np.full(len(points), cloud.sigma_m),
             ],
             axis=1,
         )
         self.walls.add(self.walls.keys_of(points), values)
         self._carve(points, origins, cloud.sigma_m)
         self.path.append((cloud.stamp_ns, map_from_base))
+        self.noises_m.append(cloud.sigma_m)
         self.revision += 1
 
     def _carve(self, points: Array, origins: Array, sigma_m: float) -> None:
@@ -127,9 +129,8 @@ class PointMap:
 
     @property
     def sigma_m(self) -> float:
-        """Noise of the scans that the map is made of (mean over its points)."""
-        count = float(self.walls.sums[:, 0].sum())
-        return float(self.walls.sums[:, 7].sum()) / count if count else 0.0
+        """Noise of the scans that the map is made of: their median, as clutter looks like noise."""
+        return float(np.median(self.noises_m)) if self.noises_m else 0.0
 
     def target(self, centre: Pose2 | None = None, radius_m: float = _SIGHT_M) -> Target:
         """The wall points (all, or within ``radius_m`` of a pose) to register against."""
