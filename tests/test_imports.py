@@ -1,0 +1,19 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+EDGES = ("serial", "can", "cantools", "zenoh", "pydantic", "matplotlib", "socketserver")
+
+
+@pytest.mark.parametrize("module", ["amr_slam.localizer", "amr_slam.engine"])
+def test_the_core_opens_no_device_and_knows_no_network(module: str) -> None:
+    """In a process of its own: this one has loaded everything already."""
+    code = f"import sys, {module}; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert module in loaded
+    assert not loaded & set(EDGES)
+    assert not [name for name in loaded if name.startswith(("amr_drivers", "amr_slam.simulation"))]
