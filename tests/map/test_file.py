@@ -85,7 +85,7 @@ def test_every_cut_is_refused() -> None:
             decode(DATA[:length])
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@settings(derandomize=True, deadline=None, max_examples=150)
 @given(st.lists(st.tuples(st.integers(0, len(DATA) - 1), st.integers(1, 255)), min_size=1))
 def test_damage_is_refused_never_anything_else(flips: list[tuple[int, int]]) -> None:
     damaged = bytearray(DATA)
@@ -110,7 +110,7 @@ json_values = st.recursive(
 )
 
 
-@settings(derandomize=True, deadline=None, max_examples=300)
+@settings(derandomize=True, deadline=None, max_examples=150)
 @given(
     key=st.sampled_from(["version", "uuid", "name", "params", "rows", "cell_m", "wall_keys"]),
     value=json_values,

@@ -81,12 +81,10 @@ def test_who_walked_on_vanishes_from_the_map(scans: int, gone: bool) -> None:
         pose = PLACES[i % 4]
         grown.insert(cloud_at(room(), pose, rng, sigma_m=0.005), pose)
     left = np.hypot(*(grown.target().points_m - person).T).min() < 0.3
-    assert left is not gone
+    assert left != gone
     # ... and no wall went with her.
     walls = np.stack(np.meshgrid(np.arange(0.5, 8.0, 0.5), [0.0, 6.0]), axis=-1).reshape(-1, 2)
     assert nearest(walls, grown.target().tree).max() < 0.1
-    kept = replace(MapParams(), vanish_ratio=math.inf)
-    assert len(scanned(room(), PLACES * 3, params=kept).target()) > 0
 
 
 def test_a_thin_board_keeps_a_direction_seen_from_both_sides() -> None:
