@@ -192,7 +192,7 @@ def _compatible(fix: SlamPose, prior: Prior) -> bool:
 def _fix(stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None) -> SlamPose:
     """The accepted pose as a measurement of its own: without the prior that helped to find it."""
     alignment = best.alignment
-    relocalized = rung in {Rung.RESCUE, Rung.ABSOLUTE}
+    relocalized = rung is not Rung.RELATIVE
     if prior is None or relocalized:
         floor = np.eye(3) / _FIX_LIMIT
         pose, covariance = best.pose, inverse_matrix(alignment.information + floor)

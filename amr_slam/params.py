@@ -80,7 +80,7 @@ class SlamParams:
     )
     """What a pose found by the absolute strategy around the expected one must show."""
     rescue_m: Annotated[float, Gt(0.0)] = 2.6
-    """While mapping, the absolute strategy looks this far around the expected pose."""
+    """How far from the expected pose a pose may be found that is not sought everywhere."""
     insert_m: Annotated[float, Ge(0.0)] = 0.1
     """While mapping, a scan joins the map after this much travel"""
     insert_rad: Annotated[float, Ge(0.0)] = 0.1

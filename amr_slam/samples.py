@@ -85,7 +85,7 @@ class Motion:
     covariance: Array
     """(3, 3) read-only: of delta's (x, y, theta) in the end's frame, body (right) perturbation."""
     gap: bool = False
-    """True: the wheels could not tell; delta is no measurement, covariance is what may have been."""
+    """True: the wheels could not tell; the covariance says what may have been, delta nothing."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", readonly(self.covariance))

@@ -95,7 +95,9 @@ def slam_relative(
     yield refine_and_decide(X, Y, target, rough, params, Rung.RELATIVE, prior)
 
     drifted = cpd.align(X, target, prior.target_from_source, params.cpd).target_from_source
-    yield refine_and_decide(X, Y, target, [drifted], params, Rung.CPD, prior)
+    # One start has no second place to stand out from: what drifted far is no local answer.
+    near = drifted.distance_to(prior.target_from_source) <= params.rescue_m
+    yield refine_and_decide(X, Y, target, [drifted] if near else [], params, Rung.CPD)
 
     yield slam_absolute(X, Y, params) if everywhere else slam_rescue(X, Y, prior, params)
 
@@ -164,7 +166,7 @@ def refine_and_decide(
     if X.weights.sum() < _LEAST_WEIGHT:
         return unknown("the scan shows less than half a metre of surface", rung)
     if not rough:
-        return unknown("no candidate place: the map shows no free space", rung)
+        return unknown("no candidate place", rung)
     alignments = icp.align_many(X, target, rough, params.icp, prior)
     tried = distinct(sorted((assess(X, Y, target, a, params) for a in alignments), key=_rank))
     return decide(tried, len(rough), rung, params)
@@ -214,7 +216,12 @@ def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: Sla
     best = tried[0]
     second = tried[1] if len(tried) > 1 else None
     margin = best.score - (max(second.score, 0.0) if second else 0.0)
-    bar = {Rung.ABSOLUTE: params.absolute, Rung.RESCUE: params.rescue}.get(rung, params.relative)
+    bar = {
+        Rung.RELATIVE: params.relative,
+        Rung.CPD: params.rescue,  # it may have drifted as far as a search would look
+        Rung.RESCUE: params.rescue,
+        Rung.ABSOLUTE: params.absolute,
+    }[rung]
     reason = objection(best, bar)
     verdict = Verdict.UNKNOWN if reason else Verdict.ACCEPTED
     if not reason and margin < bar.margin:

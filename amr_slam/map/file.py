@@ -212,7 +212,7 @@ def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
         if not np.all(np.isfinite(arrays[name])):
             raise ValueError(f"{name} holds numbers that are not finite")
     walls = arrays["wall_sums"]
-    if np.any(walls[:, 0] < 1.0):
+    if np.any(walls[:, 0] <= 0.0):
         raise ValueError("wall cells without a point")
     # Raises ValueError itself: such points would stop the first search instead of the loading.
     grown.space.keys_of(walls[:, 1:3] / walls[:, :1])

@@ -46,9 +46,11 @@ class Known:
     """(n,) the map knows the place at all: free or near a wall."""
 
 
+# Nearer than this, a point counts in full.
+_NEAR_M = 3.0
 # Points this near to a wall lie in a known place.
 _REACH_M = 0.3
-# Sums over the points of a cell: count, x, y, cos 2phi, sin 2phi of the normals, sight x, y.
+# Sums over a cell's points: weight; by weight x, y, cos 2phi, sin 2phi of the normal, sight x, y.
 _CHANNELS = 7
 _SIGHT_M = 25.0
 
@@ -102,6 +104,9 @@ class PointMap:
             ],
             axis=1,
         )
+        # A near look at a wall outweighs a far one: its place and direction are known better.
+        reach = np.linalg.norm(points - origins, axis=1)
+        values *= np.clip((_NEAR_M / np.maximum(reach, 1e-3)) ** 2, 0.02, 1.0)[:, None]
         self.walls.add(self.walls.keys_of(points), values)
         self._carve(points, origins, cloud.sigma_m)
         self.path.append((cloud.stamp_ns, map_from_base))
@@ -156,7 +161,7 @@ class PointMap:
     def _target_of(self, rows: NDArray[np.intp]) -> Target:
         rows = rows[~self._vanished(rows)]
         sums = self.walls.sums[rows]
-        count = np.maximum(sums[:, 0:1], 1.0)
+        count = np.maximum(sums[:, 0:1], 1e-9)
         points = sums[:, 1:3] / count
         sigma = self.sigma_m
         if self.params.thin and sigma > self.params.noisy_m:
@@ -177,7 +182,7 @@ class PointMap:
 
     def _vanished(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
         """Which wall cells later scans looked through: people, opened doors."""
-        centres = self.walls.sums[rows, 1:3] / np.maximum(self.walls.sums[rows, 0:1], 1.0)
+        centres = self.walls.sums[rows, 1:3] / np.maximum(self.walls.sums[rows, 0:1], 1e-9)
         cell = self.space.find(self.space.keys_of(centres))
         passed = np.where(cell >= 0, self.space.sums[cell, 0], 0.0)
         ended = np.where(cell >= 0, self.space.sums[cell, 1], 0.0)
