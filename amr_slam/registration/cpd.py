@@ -28,9 +28,9 @@ class CpdParams:
 
     outliers: Annotated[float, Ge(0.0), Lt(1.0)] = 0.3
     """Weight of the uniform component: target points that the source does not have."""
-    max_points: Annotated[int, Ge(10), Le(5000)] = 400
+    max_points: Annotated[int, Ge(10), Le(5000)] = 250
     """Both sets are thinned to this many: the cost is their product."""
-    max_iterations: Annotated[int, Ge(1), Le(1000)] = 80
+    max_iterations: Annotated[int, Ge(1), Le(1000)] = 50
     """Most expectation-maximization rounds."""
     tolerance: Annotated[float, Gt(0.0)] = 1e-5
     """Relative change of the variance that ends the iteration."""
@@ -84,7 +84,7 @@ def _spread(data: Array, points: Array) -> float:
 
 def expectation(data: Array, moved: Array, variance: float, outliers: float) -> Array:
     """E-step: (m, n) probability that centroid ``moved`` (m, 2) produced ``data`` (n, 2)."""
-    squared = np.sum((moved[:, None, :] - data[None, :, :]) ** 2, axis=2)
+    squared = (moved[:, 0:1] - data[:, 0]) ** 2 + (moved[:, 1:2] - data[:, 1]) ** 2
     density = np.exp(-squared / (2.0 * variance))
     uniform = math.tau * variance * outliers / (1.0 - outliers) * len(moved) / len(data)
     normaliser = density.sum(axis=0) + uniform

@@ -138,11 +138,16 @@ def _correspond(
     found = np.isfinite(distance).reshape(shape)
     index = np.where(found, np.asarray(index).reshape(shape), 0)
     normals = target.normals[index]
-    agreement = np.sum(turned * normals, axis=2)
+    agreement = _dot(turned, normals)
     limit = np.cos(np.radians(params.normals_agree_deg))
-    valid = found & np.any(normals != 0.0, axis=2)
+    valid = found & ((normals[..., 0] != 0.0) | (normals[..., 1] != 0.0))
     valid &= (agreement >= limit) | ~source.has_normal
     return _Pairs(moved, target.points_m[index], normals, valid)
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Products (k, n) of vectors (k, n, 2): a sum over an axis of two is slow in numpy."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1])
 
 
 def _step_to_points(poses: Array, pairs: _Pairs) -> Array:
@@ -166,7 +171,7 @@ def _normal_equations(poses: Array, pairs: _Pairs, width: float) -> tuple[Array,
 
     Unknowns: displacement of the robot (x, y) in the target frame and its turn.
     """
-    residual = np.sum(pairs.normals * (pairs.moved - pairs.nearest), axis=2)
+    residual = _dot(pairs.normals, pairs.moved - pairs.nearest)
     weight = np.where(pairs.valid, 1.0 / (1.0 + (residual / width) ** 2) ** 2, 0.0)
     arm = pairs.moved - poses[:, None, :2]
     lever = pairs.normals[..., 1] * arm[..., 0] - pairs.normals[..., 0] * arm[..., 1]
@@ -205,7 +210,7 @@ def _conclude(
 ) -> list[Alignment]:
     pairs = _correspond(source, target, poses, params, kernel)
     if params.metric == "line":
-        residual = np.abs(np.sum(pairs.normals * (pairs.moved - pairs.nearest), axis=2))
+        residual = np.abs(_dot(pairs.normals, pairs.moved - pairs.nearest))
     else:
         residual = np.linalg.norm(pairs.moved - pairs.nearest, axis=2)
     inlier = pairs.valid & (residual <= kernel)

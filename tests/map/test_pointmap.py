@@ -203,7 +203,7 @@ def test_any_scan_can_be_inserted(rows: list[tuple[float, float]], x: float, the
     grown = PointMap(MapParams())
     grown.insert(plain_cloud(points), Pose2(x, 0.0, theta))
     assert np.all(np.isfinite(grown.walls.sums))
-    assert float(grown.walls.sums[:, 0].sum()) == len(points)
+    assert 0.0 < float(grown.walls.sums[:, 0].sum()) <= len(points)
     assert np.all(np.isfinite(grown.target().points_m))
 
 
