@@ -42,8 +42,6 @@ class SlamRequest:
     """One instant's cloud and what the fusion knows of the pose there."""
 
     cloud: Cloud
-    odom_from_base: Pose2
-    """By the wheels alone, for comparing requests with one another."""
     map_from_base: Pose2 | None
     """Expected pose; None: anywhere."""
     covariance: Array | None

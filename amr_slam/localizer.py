@@ -264,12 +264,10 @@ class Localizer:
             )
             parts.append((cloud, to_scan.delta))
         prior = self._filter.pose_at(stamp_ns)
-        to_request = self._filter.motion_between(self._filter.stamp_ns, stamp_ns)
-        if not parts or prior is None or to_request is None:
+        if not parts or prior is None:
             return None
         return SlamRequest(
             cloud=merge(parts),
-            odom_from_base=self._filter.odom_from_base @ to_request.delta,
             map_from_base=prior[0] if self._located else None,
             covariance=prior[1] if self._located else None,
         )

@@ -99,8 +99,6 @@ class SlamPose:
     map_from_base: Pose2
     covariance: Array
     """(3, 3) read-only, of (x, y, theta) in the map frame."""
-    epoch: int = 0
-    """Number of the map frame: poses of different epochs must not be compared."""
     relocalized: bool = False
     """True: found without the prior (a jump is meant), not a correction of it."""
 

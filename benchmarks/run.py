@@ -137,7 +137,6 @@ def relative(scene: Scene, model: ScannerModel, name: Preset) -> tuple[str, ...]
     for cloud, truth in zip(clouds, scene.queries, strict=True):
         request = SlamRequest(
             cloud=cloud,
-            odom_from_base=Pose2.identity(),
             map_from_base=truth @ Pose2.from_array(rng.normal(0.0, PRIOR_SIGMA)),
             covariance=np.diag(PRIOR_SIGMA**2),
         )

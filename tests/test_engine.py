@@ -33,7 +33,6 @@ STEP = np.diag([0.03**2, 0.02**2, math.radians(1.5) ** 2])
 def request(cloud: Cloud, pose: Pose2 | None, covariance: Array | None = SURE) -> SlamRequest:
     return SlamRequest(
         cloud=cloud,
-        odom_from_base=pose or Pose2.identity(),
         map_from_base=pose,
         covariance=None if pose is None else covariance,
     )

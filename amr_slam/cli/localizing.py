@@ -51,7 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
             )
             request = SlamRequest(
                 cloud=cloud,
-                odom_from_base=Pose2.identity(),
                 map_from_base=previous,
                 covariance=covariance if previous is not None else None,
             )
