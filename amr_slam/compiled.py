@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from types import ModuleType
 from typing import Final, ParamSpec, TypeVar
 
 _Args = ParamSpec("_Args")
 _T = TypeVar("_T")
 
+numba: ModuleType | None
 try:
     import numba
 except ImportError:  # no wheel for this processor or Python
