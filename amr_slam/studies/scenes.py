@@ -133,6 +133,20 @@ def along(path_m: Array, count: int) -> list[Pose2]:
     ]
 
 
+def blocked(scan: Scan, rng: np.random.Generator, share: float) -> Scan:
+    """``share`` of the beams end early, in bundles: on people and pallets that no map knows."""
+    ranges = np.array(scan.ranges_m)
+    free = np.ones(len(ranges), dtype=np.bool_)
+    while np.mean(~free) < share:
+        width = int(rng.integers(5, 30))
+        start = int(rng.integers(-width, len(ranges)))
+        bundle = slice(max(start, 0), min(start + width, len(ranges)))
+        distance_m = rng.uniform(0.4, 4.0)
+        ranges[bundle] = np.fmin(ranges[bundle], distance_m + rng.normal(0.0, 0.02))
+        free[bundle] = False
+    return replace(scan, ranges_m=ranges)
+
+
 def is_right(found: Pose2, truth: Pose2) -> bool:
     """Within 0.25 m and 5 degrees."""
     error_m, error_rad = pose_error(found, truth)
