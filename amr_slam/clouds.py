@@ -9,6 +9,7 @@ from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
+from numpy.typing import NDArray
 
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.samples import Scan
@@ -56,6 +57,25 @@ class Cloud:
 
     def __len__(self) -> int:
         return len(self.points_m)
+
+    def take(self, rows: NDArray[np.intp]) -> Cloud:
+        """The same cloud with only these points."""
+        return Cloud(
+            stamp_ns=self.stamp_ns,
+            points_m=self.points_m[rows],
+            normals=self.normals[rows],
+            origins_m=self.origins_m[rows],
+            weights=self.weights[rows],
+            sigma_m=self.sigma_m,
+        )
+
+    def even(self, count: int) -> NDArray[np.intp]:
+        """Rows of at most ``count`` points that share the scan's surface evenly."""
+        if not len(self):
+            return np.empty(0, dtype=np.intp)
+        surface = np.cumsum(self.weights)
+        marks = (np.arange(count) + 0.5) * (surface[-1] / count)
+        return np.unique(np.searchsorted(surface, marks).clip(max=len(self) - 1))
 
     @property
     def has_normal(self) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:

@@ -6,27 +6,21 @@ Runs in a process of its own in the daemon and in line in a replay; it knows nei
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from amr_slam.clouds import Cloud
+from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, objection, unknown
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration.icp import Prior, points_alone
 from amr_slam.samples import SlamPose
-from amr_slam.slam import (
-    Answer,
-    Hypothesis,
-    Rung,
-    Verdict,
-    objection,
-    slam_absolute,
-    slam_relative,
-    unknown,
-)
+from amr_slam.slam import slam_absolute_rungs, slam_relative
 
 Mode = Literal["mapping", "localization"]
 
@@ -46,6 +40,9 @@ class SlamRequest:
     """Expected pose; None: anywhere."""
     covariance: Array | None
     """(3, 3) of the expected pose."""
+    also: Array | None = None
+    """(k, 3) poses to try beside what a search everywhere finds: where earlier scans said that
+    the robot may be, moved on by the wheels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,6 +51,8 @@ class SlamResult:
 
     stamp_ns: int
     answer: Answer
+    climbed: tuple[Answer, ...]
+    """What each rung of the ladder found, in the order they were climbed, ``answer`` included."""
     fix: SlamPose | None
     """Present where the answer is accepted."""
     inserted: bool
@@ -77,37 +76,48 @@ class SlamEngine:
         if self.mode == "mapping" and not len(self.map) and request.map_from_base is not None:
             return self._found(request)
         prior = _prior(request)
-        answer = self._search(cloud, prior)
+        climbed = tuple(self._climb(request, prior))
+        answer = self._choose(climbed)
         fix = None
         believed = False
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
             fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
             believed = prior is not None and _compatible(fix, prior)
         inserted = self.mode == "mapping" and self._grow(request, answer, believed=believed)
-        return self._result(cloud.stamp_ns, answer, fix, inserted=inserted)
+        return self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
 
-    def _search(self, cloud: Cloud, prior: Prior | None) -> Answer:
+    def _climb(self, request: SlamRequest, prior: Prior | None) -> Iterator[Answer]:
+        """One answer a rung, up to the first that ends the search."""
+        cloud = request.cloud
         if prior is None:
-            return slam_absolute(cloud, self.map, self.params)
-        # A growing map lacks the very places where the robot is: there, a search of the whole map
-        # finds look-alikes, so the last rung stays around the expected pose.
-        answers: list[Answer] = []
-        for answer in slam_relative(
-            cloud, self.map, prior, self.params, everywhere=self.mode == "localization"
-        ):
+            rungs = slam_absolute_rungs(cloud, self.map, self.params, request.also)
+        else:
+            # A growing map lacks the very places where the robot is: there, a search of the whole
+            # map finds look-alikes, so the last rung stays around the expected pose.
+            rungs = slam_relative(
+                cloud, self.map, prior, self.params, everywhere=self.mode == "localization"
+            )
+        begun_s = time.perf_counter()
+        for answer in rungs:
+            ended_s = time.perf_counter()
+            yield replace(answer, elapsed_s=ended_s - begun_s)
             if self._settles(answer) or self._new_territory(answer):
-                return answer
-            answers.append(answer)
+                return
+            begun_s = ended_s
+
+    def _choose(self, climbed: Sequence[Answer]) -> Answer:
+        last = climbed[-1]
+        if self._settles(last) or self._new_territory(last):
+            return last
         # A poor fit near the expected pose counts once the search around found nothing better.
-        accepted = [answer for answer in answers if answer.verdict is Verdict.ACCEPTED]
-        return max(accepted, key=_score, default=answers[-1])
+        accepted = [answer for answer in climbed if answer.verdict is Verdict.ACCEPTED]
+        return max(accepted, key=_score, default=last)
 
     def _settles(self, answer: Answer) -> bool:
-        return (
-            answer.verdict is Verdict.ACCEPTED
-            and answer.best is not None
-            and objection(answer.best, self.params.settled) is None
-        )
+        if answer.verdict is not Verdict.ACCEPTED or answer.best is None:
+            return False
+        everywhere = answer.rung in {Rung.ABSOLUTE, Rung.EXHAUSTIVE}
+        return everywhere or objection(answer.best, self.params.settled) is None
 
     def _found(self, request: SlamRequest) -> SlamResult:
         """The first scan founds the map: its frame is where the robot stands."""
@@ -117,7 +127,7 @@ class SlamEngine:
             self.map.insert(request.cloud, pose)
             self._last_inserted = pose
         answer = unknown("the first scan founds the map" if inserted else "the scan is empty")
-        return self._result(request.cloud.stamp_ns, answer, None, inserted=inserted)
+        return self._result(request.cloud.stamp_ns, (answer,), answer, None, inserted=inserted)
 
     def _new_territory(self, answer: Answer) -> bool:
         """Mapping: the scan overlaps too little with the map to say anything. That is no
@@ -153,11 +163,18 @@ class SlamEngine:
         )
 
     def _result(
-        self, stamp_ns: int, answer: Answer, fix: SlamPose | None, *, inserted: bool
+        self,
+        stamp_ns: int,
+        climbed: tuple[Answer, ...],
+        answer: Answer,
+        fix: SlamPose | None,
+        *,
+        inserted: bool,
     ) -> SlamResult:
         return SlamResult(
             stamp_ns=stamp_ns,
             answer=answer,
+            climbed=climbed,
             fix=fix,
             inserted=inserted,
             map_scans=len(self.map.path),

@@ -18,6 +18,7 @@ from annotated_types import Ge, Gt
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
 from amr_slam.engine import Mode, SlamRequest, SlamResult
+from amr_slam.evidence import Verdict
 from amr_slam.fusion import FilterParams, PoseFilter, error95_m
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.odometry import Odometry
@@ -30,7 +31,6 @@ from amr_slam.samples import (
     State,
     WheelSample,
 )
-from amr_slam.slam import Verdict
 
 Sample = WheelSample | OdometrySample | Scan | SlamResult
 

@@ -13,6 +13,7 @@ from amr_slam.clouds import CloudParams
 from amr_slam.geometry import Array
 from amr_slam.map.pointmap import MapParams
 from amr_slam.registration.cpd import CpdParams
+from amr_slam.registration.field import FieldParams
 from amr_slam.registration.icp import IcpParams
 from amr_slam.registration.rdnm import RdnmParams
 
@@ -45,6 +46,7 @@ class SlamParams:
     rdnm: RdnmParams = field(default_factory=RdnmParams)
     icp: IcpParams = field(default_factory=IcpParams)
     cpd: CpdParams = field(default_factory=CpdParams)
+    exhaustive: FieldParams = field(default_factory=FieldParams)
 
     grid_m: Annotated[float, Gt(0.0)] = 0.5
     """The paper's g: spacing of the places that the absolute strategy tries."""
@@ -52,6 +54,10 @@ class SlamParams:
     """Places nearer to a wall than this are not tried: the robot would not fit."""
     absolute_candidates: Annotated[int, Ge(1), Le(500)] = 24
     """Rough poses that the absolute strategy refines."""
+    first_points: Annotated[int, Ge(20)] = 180
+    """Points of the scan with which many rough poses are refined, to choose the finalists."""
+    finalists: Annotated[int, Ge(2), Le(50)] = 6
+    """Distinct poses that are refined with the whole scan."""
     local_candidates: Annotated[int, Ge(0), Le(100)] = 5
     """Rough poses that the relative strategy refines beside the prior itself."""
     local_spacing_m: Annotated[float, Gt(0.0)] = 0.3
@@ -108,8 +114,16 @@ def preset(name: Preset) -> SlamParams:
         return SlamParams()
     return SlamParams(
         map=MapParams(cell_m=0.01, thin=False, vanish_ratio=math.inf),
-        rdnm=RdnmParams(layer_m=0.3, shorter_m=100.0, longer_m=100.0, unseen_m=0.0, rotations=1),
+        rdnm=RdnmParams(
+            signature="layer",
+            layer_m=0.3,
+            shorter_m=100.0,
+            longer_m=100.0,
+            unseen_m=0.0,
+            rotations=1,
+        ),
         icp=IcpParams(metric="point", max_iterations=50, kernel_m=1.0, reach_m=1.0),
+        exhaustive=FieldParams(candidates=0),
         absolute_candidates=1,
         local_candidates=1,
         relative=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),

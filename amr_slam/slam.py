@@ -1,84 +1,37 @@
 """The paper's two strategies, top to bottom: relative (algorithm 3) and absolute (algorithm 2).
 
-X is the scan's cloud in the base frame, Y the map. A strategy's answer is data: the pose if there
-is one, the evidence for it, the second best place, and why nothing was accepted.
+X is the scan's cloud in the base frame, Y the map. A strategy's answer is data: the places found
+with the evidence for each, and why nothing was accepted (:mod:`amr_slam.evidence`).
 """
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from amr_slam.clouds import Cloud
+from amr_slam.evidence import Answer, Rung, Verdict, assess, decide, unknown
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
-from amr_slam.params import Acceptance, SlamParams
-from amr_slam.registration import cpd, icp
-from amr_slam.registration.alignment import Alignment, Target
-from amr_slam.registration.error import mean_below, nearest
+from amr_slam.params import SlamParams
+from amr_slam.registration import cpd, field, fit, icp, rdnm
+from amr_slam.registration.alignment import Target
 from amr_slam.registration.icp import Prior
-from amr_slam.registration.rdnm import as_pose, rdn, rdnm
+
+__all__ = [
+    "Answer",
+    "Rung",
+    "Verdict",
+    "local_candidates",
+    "slam_absolute",
+    "slam_absolute_rungs",
+    "slam_relative",
+    "slam_rescue",
+]
 
 # Half a metre of surface, in points of full weight: a post or a speck fits anywhere.
 _LEAST_WEIGHT = 10.0
-
-
-class Rung(enum.StrEnum):
-    """The steps of the ladder, quickest first."""
-
-    RELATIVE = "rdnm+icp"
-    CPD = "cpd+icp"
-    RESCUE = "rescue"
-    ABSOLUTE = "absolute"
-
-
-class Verdict(enum.StrEnum):
-    """What a strategy says of its best pose."""
-
-    ACCEPTED = "accepted"
-    AMBIGUOUS = "ambiguous"
-    UNKNOWN = "unknown"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Hypothesis:
-    """One refined pose and how well the whole scan fits there."""
-
-    alignment: Alignment
-    score: float
-    """Mean fit of the scan's points, 1 on a wall to 0 off it, less the contradicting share."""
-    inliers: float
-    """Share of the points in known places that lie on walls."""
-    known: float
-    """Share of the points that lie where the map knows anything."""
-    conflict: float
-    """Share of the points that stand where the map saw free space."""
-    e_psr_m: float
-    """Registration error, eq. 1."""
-
-    @property
-    def pose(self) -> Pose2:
-        return self.alignment.target_from_source
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Answer:
-    """What a strategy found, evidence included."""
-
-    verdict: Verdict
-    rung: Rung
-    candidates: int
-    """Poses that were refined."""
-    best: Hypothesis | None
-    second: Hypothesis | None
-    """The best place that is distinct from ``best``."""
-    margin: float
-    """Score of the best over the second (over 0 where there is none)."""
-    reason: str | None = None
-    """Why nothing was accepted."""
 
 
 def slam_relative(
@@ -87,28 +40,63 @@ def slam_relative(
     """Algorithm 3: the pose near ``prior``, quickest strategy first.
 
     Yields one answer a rung, computed when it is asked for: who climbs stops at the first that is
-    accepted. ``everywhere``: the last rung looks in the whole map, else around the prior.
+    accepted. ``everywhere``: the last rungs look in the whole map, else around the prior.
     """
-    target = Y.target(prior.target_from_source)
+    expected = prior.target_from_source
+    target = Y.target() if everywhere else Y.target(expected)
 
     rough = local_candidates(X, target, prior, params)
-    yield refine_and_decide(X, Y, target, rough, params, Rung.RELATIVE, prior)
+    yield refine_and_decide(X, target, rough, params, Rung.RELATIVE, prior)
 
-    drifted = cpd.align(X, target, prior.target_from_source, params.cpd).target_from_source
+    drifted = cpd.align(X, Y.target(expected), expected, params.cpd).target_from_source
     # One start has no second place to stand out from: what drifted far is no local answer.
-    near = drifted.distance_to(prior.target_from_source) <= params.rescue_m
-    yield refine_and_decide(X, Y, target, [drifted] if near else [], params, Rung.CPD)
+    near = drifted.distance_to(expected) <= params.rescue_m
+    yield refine_and_decide(
+        X, target, poses_of([drifted] if near else []), params, Rung.CPD
+    )  # fmt: skip
 
-    yield slam_absolute(X, Y, params) if everywhere else slam_rescue(X, Y, prior, params)
+    if everywhere:
+        yield from slam_absolute_rungs(X, Y, params, np.array([expected.as_array()]))
+    else:
+        yield slam_rescue(X, Y, prior, params)
 
 
-def slam_absolute(X: Cloud, Y: PointMap, params: SlamParams) -> Answer:
-    """Algorithm 2: the pose anywhere in the map."""
+def slam_absolute(X: Cloud, Y: PointMap, params: SlamParams, also: Array | None = None) -> Answer:
+    """Algorithm 2: the pose anywhere in the map. See :func:`slam_absolute_rungs`."""
+    answer = unknown("nothing was tried", Rung.ABSOLUTE)
+    for answer in slam_absolute_rungs(X, Y, params, also):
+        if answer.verdict is Verdict.ACCEPTED:
+            break
+    return answer
+
+
+def slam_absolute_rungs(
+    X: Cloud, Y: PointMap, params: SlamParams, also: Array | None = None
+) -> Iterator[Answer]:
+    """Algorithm 2, and where it is not sure, its candidates joined with those of an exhaustive
+    search: each source finds places that the other misses.
+
+    ``also`` (k, 3): poses that are tried beside what is found, such as where earlier scans said
+    that the robot may be.
+    """
+    target = Y.target()
+    known = np.empty((0, 3)) if also is None else also
+    objection = cannot_register(X, target)
+    if objection is not None:
+        yield unknown(objection, Rung.ABSOLUTE)
+        return
+
     places, h_y = Y.signatures(params.grid_m, params.robot_radius_m, params.rdnm)
-    h_x = rdn(X.points_m, np.zeros((1, 2)), 0.0, params.rdnm)[0]
-    rough = rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
-    poses = [as_pose(r) for r in rough]
-    return refine_and_decide(X, Y, Y.target(), poses, params, Rung.ABSOLUTE)
+    h_x = rdnm.of_scan(X.points_m, params.rdnm)
+    rough = rdnm.rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
+    rough = np.concatenate([known, rough[:, :3]])
+    yield refine_and_decide(X, target, rough, params, Rung.ABSOLUTE)
+
+    if params.exhaustive.candidates:
+        places = Y.places(params.exhaustive.spacing_m, params.robot_radius_m)
+        more = field.search(X, Y.field(params.exhaustive), places, params.exhaustive)
+        rough = np.concatenate([rough, more[:, :3]])
+        yield refine_and_decide(X, target, rough, params, Rung.EXHAUSTIVE)
 
 
 def slam_rescue(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Answer:
@@ -118,14 +106,14 @@ def slam_rescue(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Answ
     target = Y.target(centre)
     places = Y.places(params.grid_m, params.robot_radius_m)
     places = places[np.hypot(*(places - centre.translation).T) <= params.rescue_m]
-    h_x = rdn(X.points_m, np.zeros((1, 2)), 0.0, params.rdnm)[0]
-    h_y = rdn(target.points_m, places, target.spacing_m, params.rdnm)
-    rough = rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
-    return refine_and_decide(X, Y, target, [as_pose(r) for r in rough], params, Rung.RESCUE)
+    h_x = rdnm.of_scan(X.points_m, params.rdnm)
+    h_y = rdnm.of_map(target, places, params.rdnm)
+    rough = rdnm.rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
+    return refine_and_decide(X, target, rough[:, :3], params, Rung.RESCUE)
 
 
-def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams) -> list[Pose2]:
-    """P_rel of algorithm 3, matched by RDNM: the rough poses inside the prior's own window.
+def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams) -> Array:
+    """P_rel of algorithm 3, matched by RDNM: the rough poses (k, 3) in the prior's own window.
 
     The window is three standard deviations of the prior, never less than the paper's 6 points
     in 0.3 m; the prior itself is always among the candidates.
@@ -135,11 +123,13 @@ def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams)
     reach = np.clip(3.0 * np.sqrt(np.diag(covariance)), params.window_min, params.window_max)
     offsets = _window(reach[:2], params.local_spacing_m)
     places = centre.translation + offsets
-    h_x = rdn(X.points_m, np.zeros((1, 2)), 0.0, params.rdnm)[0]
-    h_y = rdn(target.points_m, places, target.spacing_m, params.rdnm)
+    h_x = rdnm.of_scan(X.points_m, params.rdnm)
+    h_y = rdnm.of_map(target, places, params.rdnm)
     heading = (centre.theta_rad, float(reach[2]))
-    rough = rdnm(h_x, h_y, places, params.rdnm, best=params.local_candidates, heading=heading)
-    return [centre, *(as_pose(r) for r in rough)]
+    rough = rdnm.rdnm(
+        h_x, h_y, places, params.rdnm, best=params.local_candidates, heading=heading
+    )  # fmt: skip
+    return np.concatenate([[centre.as_array()], rough[:, :3]])
 
 
 def _window(half_m: Array, spacing_m: float) -> Array:
@@ -153,112 +143,66 @@ def _window(half_m: Array, spacing_m: float) -> Array:
 
 def refine_and_decide(
     X: Cloud,
-    Y: PointMap,
     target: Target,
-    rough: Sequence[Pose2],
+    rough: Array,
     params: SlamParams,
     rung: Rung,
     prior: Prior | None = None,
 ) -> Answer:
-    """ICP from every rough pose, the scan's fit at each result, and the verdict."""
-    if not len(X) or not len(target):
-        return unknown("the scan is empty" if not len(X) else "the map is empty", rung)
-    if X.weights.sum() < _LEAST_WEIGHT:
-        return unknown("the scan shows less than half a metre of surface", rung)
-    if not rough:
+    """ICP from rough poses (k, 3), the scan's fit at the best results, and the verdict.
+
+    Many candidates are refined with a part of the scan first; the best distinct of them, the
+    finalists, with all of it.
+    """
+    objection = cannot_register(X, target)
+    if objection is not None:
+        return unknown(objection, rung)
+    if not len(rough):
         return unknown("no candidate place", rung)
-    alignments = icp.align_many(X, target, rough, params.icp, prior)
-    tried = distinct(sorted((assess(X, Y, target, a, params) for a in alignments), key=_rank))
+    finalists = rough
+    if len(rough) > params.finalists:
+        part = X.take(X.even(params.first_points))
+        coarse = icp.refine(part, target, rough, params.icp, prior).poses
+        reach = max(params.fit_m, 3.0 * X.sigma_m)
+        scores = fit.scores(part, target, coarse, reach)
+        finalists = _best_distinct(coarse, scores, params.finalists)
+    alignments = icp.align_many(X, target, poses_from(finalists), params.icp, prior)
+    tried = [assess(X, target, alignment, params) for alignment in alignments]
     return decide(tried, len(rough), rung, params)
 
 
-def _rank(hypothesis: Hypothesis) -> float:
-    return -hypothesis.score
+def _best_distinct(poses: Array, scores: Array, most: int) -> Array:
+    """The best ``most`` of poses (k, 3) that lie 0.2 m or 4 degrees apart."""
+    kept: list[Array] = []
+    for pose in poses[np.argsort(-scores, kind="stable")]:
+        near = [
+            np.hypot(*(pose[:2] - other[:2])) < 0.2
+            and abs(np.remainder(pose[2] - other[2] + np.pi, 2.0 * np.pi) - np.pi) < 0.07
+            for other in kept
+        ]
+        if not any(near):
+            kept.append(pose)
+        if len(kept) == most:
+            break
+    return np.array(kept)
 
 
-def assess(
-    X: Cloud, Y: PointMap, target: Target, alignment: Alignment, params: SlamParams
-) -> Hypothesis:
-    """How well the whole scan fits at one refined pose."""
-    moved = alignment.target_from_source @ X.points_m
-    distance = nearest(moved, target.tree)
-    seen = Y.known(moved, distance)
-    scale = max(params.fit_m, 3.0 * X.sigma_m)
-    fit = 1.0 - np.minimum(distance / scale, 1.0)
-    share = X.weights / X.weights.sum()
-    known = float(share @ seen.known)
-    on_wall = float(share @ (distance <= 0.5 * scale))
-    return Hypothesis(
-        alignment=alignment,
-        score=float(share @ fit - share @ seen.free),
-        inliers=min(on_wall / max(known, 1e-9), 1.0),
-        known=known,
-        conflict=float(share @ seen.free),
-        e_psr_m=mean_below(distance),
-    )
-
-
-def distinct(ranked: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The best of each place: results 0.3 m or 0.1 rad apart are different places."""
-    kept: list[Hypothesis] = []
-    for one in ranked:
-        if all(_apart(one.pose, other.pose) for other in kept):
-            kept.append(one)
-    return kept
-
-
-def _apart(a: Pose2, b: Pose2) -> bool:
-    return a.distance_to(b) > 0.3 or abs((a.inverse() @ b).theta_rad) > 0.1
-
-
-def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: SlamParams) -> Answer:
-    """The verdict on the best hypothesis: it must fit, and stand out from the second place."""
-    best = tried[0]
-    second = tried[1] if len(tried) > 1 else None
-    margin = best.score - (max(second.score, 0.0) if second else 0.0)
-    bar = {
-        Rung.RELATIVE: params.relative,
-        Rung.CPD: params.rescue,  # it may have drifted as far as a search would look
-        Rung.RESCUE: params.rescue,
-        Rung.ABSOLUTE: params.absolute,
-    }[rung]
-    reason = objection(best, bar)
-    verdict = Verdict.UNKNOWN if reason else Verdict.ACCEPTED
-    if not reason and margin < bar.margin:
-        verdict = Verdict.AMBIGUOUS
-        reason = f"a second place fits nearly as well (margin {margin:.2f} < {bar.margin:.2f})"
-    return Answer(
-        verdict=verdict,
-        rung=rung,
-        candidates=candidates,
-        best=best,
-        second=second,
-        margin=margin,
-        reason=reason,
-    )
-
-
-def objection(hypothesis: Hypothesis, bar: Acceptance) -> str | None:
-    """Why a pose cannot be accepted on its own, or None."""
-    if hypothesis.e_psr_m >= bar.e_max_m:
-        return f"registration error {hypothesis.e_psr_m:.2f} m >= {bar.e_max_m:.2f} m"
-    if hypothesis.known < bar.known:
-        return f"only {hypothesis.known:.0%} of the scan lies where the map knows anything"
-    if hypothesis.inliers < bar.inliers:
-        return f"only {hypothesis.inliers:.0%} of the known points lie on walls"
-    if hypothesis.conflict > bar.conflict:
-        return f"{hypothesis.conflict:.0%} of the scan stands where the map saw free space"
+def cannot_register(X: Cloud, target: Target) -> str | None:
+    """Why scan and map cannot be compared at all, or None."""
+    if not len(X):
+        return "the scan is empty"
+    if not len(target):
+        return "the map is empty"
+    if X.weights.sum() < _LEAST_WEIGHT:
+        return "the scan shows less than half a metre of surface"
     return None
 
 
-def unknown(reason: str, rung: Rung = Rung.RELATIVE) -> Answer:
-    """No pose, with its reason."""
-    return Answer(
-        verdict=Verdict.UNKNOWN,
-        rung=rung,
-        candidates=0,
-        best=None,
-        second=None,
-        margin=0.0,
-        reason=reason,
-    )
+def poses_of(poses: Sequence[Pose2]) -> Array:
+    """(k, 3) of poses."""
+    return np.array([pose.as_array() for pose in poses]).reshape(-1, 3)
+
+
+def poses_from(rows: Array) -> list[Pose2]:
+    """Poses of (k, 3) rows."""
+    return [Pose2.from_array(row) for row in rows]

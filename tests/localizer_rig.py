@@ -11,7 +11,7 @@ from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.samples import Outcome, PoseEstimate, Scan, SlamPose, State, WheelSample
-from amr_slam.slam import Answer, Rung, Verdict, unknown
+from amr_slam.evidence import Answer, Rung, Verdict, unknown
 
 WHEEL_NS = 20_000_000
 DRIVE = DifferentialDrive(radius_left_m=0.1, radius_right_m=0.1, track_m=0.5)
@@ -111,13 +111,12 @@ class Rig:
                 verdict=Verdict.ACCEPTED,
                 rung=Rung.ABSOLUTE if relocalized else Rung.RELATIVE,
                 candidates=1,
-                best=None,
-                second=None,
                 margin=1.0,
             )
         result = SlamResult(
             stamp_ns=stamp_ns,
             answer=answer,
+            climbed=(answer,),
             fix=fix,
             inserted=inserted,
             map_scans=1,

@@ -20,6 +20,7 @@ from labs import (
 )
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan
+from amr_slam.evidence import decide
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import MapParams, PointMap
 from amr_slam.params import SlamParams, preset
@@ -29,7 +30,6 @@ from amr_slam.slam import (
     Answer,
     Rung,
     Verdict,
-    decide,
     local_candidates,
     slam_absolute,
     slam_relative,

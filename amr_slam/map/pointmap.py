@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -14,8 +14,10 @@ from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map.grid import SparseGrid
 from amr_slam.map.thinning import thin_walls
+from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
-from amr_slam.registration.rdnm import RdnmParams, rdn
+from amr_slam.registration.field import Field, FieldParams
+from amr_slam.registration.rdnm import RdnmParams
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,6 +79,7 @@ class PointMap:
         self._whole: tuple[int, Target] | None = None
         self._places: tuple[int, float, float, Array] | None = None
         self._signatures: tuple[int, RdnmParams, Array, Array] | None = None
+        self._field: tuple[int, FieldParams, Field] | None = None
 
     def __len__(self) -> int:
         return len(self.walls)
@@ -145,18 +148,25 @@ class PointMap:
             if centre is None:
                 return whole
             near = _near(whole.points_m, centre, radius_m)
-            return Target(
-                points_m=whole.points_m[near],
-                normals=whole.normals[near],
-                spacing_m=whole.spacing_m,
-            )
-        near = _near(self.walls.centres(), centre, radius_m)
-        return self._target_of(np.flatnonzero(near))
+            walls = replace(whole, points_m=whole.points_m[near], normals=whole.normals[near])
+        else:
+            near = _near(self.walls.centres(), centre, radius_m)
+            walls = self._target_of(np.flatnonzero(near))
+        free = self._free_cells()
+        return self._in_space(walls, free[_near(free, centre, radius_m)])
 
     def _whole_target(self) -> Target:
         if self._whole is None or self._whole[0] != self.revision:
-            self._whole = (self.revision, self._target_of(np.arange(len(self.walls))))
+            walls = self._target_of(np.arange(len(self.walls)))
+            self._whole = (self.revision, self._in_space(walls, self._free_cells()))
         return self._whole[1]
+
+    def _free_cells(self) -> Array:
+        """Centres (k, 2) of the cells that more rays passed than ended in."""
+        return self.space.centres()[self.space.sums[:, 0] > self.space.sums[:, 1]]
+
+    def _in_space(self, walls: Target, free_m: Array) -> Target:
+        return replace(walls, sigma_m=self.sigma_m, free_m=free_m, cell_m=self.space.cell_m)
 
     def _target_of(self, rows: NDArray[np.intp]) -> Target:
         rows = rows[~self._vanished(rows)]
@@ -213,8 +223,7 @@ class PointMap:
         return cached[3]
 
     def _find_places(self, spacing_m: float, robot_radius_m: float) -> Array:
-        free = self.space.sums[:, 0] > self.space.sums[:, 1]
-        cells = self.space.centres()[free]
+        cells = self._free_cells()
         if not len(cells):
             return np.empty((0, 2))
         grid = SparseGrid(spacing_m, 1)
@@ -238,14 +247,21 @@ class PointMap:
         cached = self._signatures
         if cached is None or cached[:2] != (self.revision, params) or cached[2] is not places:
             walls = self._whole_target()
-            h = rdn(walls.points_m, places, walls.spacing_m, params)
+            h = rdnm.of_map(walls, places, params)
             cached = self._signatures = (self.revision, params, places, h)
         return cached[2], cached[3]
 
+    def field(self, params: FieldParams) -> Field:
+        """The walls' likelihood field, computed once per revision."""
+        cached = self._field
+        if cached is None or cached[:2] != (self.revision, params):
+            built = field.build(self._whole_target(), params)
+            cached = self._field = (self.revision, params, built)
+        return cached[2]
+
     def area_m2(self) -> float:
         """Floor area that was seen free."""
-        free = self.space.sums[:, 0] > self.space.sums[:, 1]
-        return float(free.sum()) * self.space.cell_m**2
+        return len(self._free_cells()) * self.space.cell_m**2
 
     def bounds(self) -> tuple[float, float, float, float]:
         """(x_min, y_min, x_max, y_max) of the walls in m; zeros for an empty map."""

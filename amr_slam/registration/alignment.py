@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from amr_slam.geometry import Array, Pose2, readonly
+from amr_slam.registration import lookup
 
-# A wall seen from its other side counts as this much times two farther away.
-_SIDE_M = 0.2
+# How far a correspondence may be sought: rough poses are this wrong, noisy points stray farther.
+_LEAST_REACH_M, _MOST_REACH_M = 0.8, 1.0
 
 
-def facing(points_m: Array, normals: Array) -> Array:
-    """(..., 4) features whose distance is that of the points, plus that of their directions."""
-    return np.concatenate([points_m, _SIDE_M * normals], axis=-1)
+def _nowhere() -> Array:
+    return np.empty((0, 2))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,23 +29,33 @@ class Target:
     """(n, 2) unit normals that face where the wall was seen from; (0, 0) where unknown."""
     spacing_m: float = 0.05
     """Distance of neighbouring points along a wall."""
+    sigma_m: float = 0.0
+    """Noise of the scans that the points were made of: how far from them a wall may lie."""
+    free_m: Array = field(default_factory=_nowhere)
+    """(k, 2) centres of the cells that rays have passed, walls excepted."""
+    cell_m: float = 0.1
+    """Side of these cells."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points_m", readonly(self.points_m))
         object.__setattr__(self, "normals", readonly(self.normals))
+        object.__setattr__(self, "free_m", readonly(self.free_m))
 
     def __len__(self) -> int:
         return len(self.points_m)
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Nearest-neighbour index over the points, built on first use."""
+        """Exact nearest-neighbour index over the points, built on first use."""
         return cKDTree(self.points_m)
 
     @cached_property
-    def facing_tree(self) -> cKDTree:
-        """Index over :func:`facing` of the points: the two sides of a thin wall lie apart."""
-        return cKDTree(facing(self.points_m, self.normals))
+    def lookup(self) -> lookup.Lookup:
+        """Dense nearest-point grid, built on first use. Raises ValueError without points."""
+        if not len(self):
+            raise ValueError("no points to look up")
+        reach_m = min(max(_LEAST_REACH_M, 3.0 * self.sigma_m + 0.1), _MOST_REACH_M)
+        return lookup.build(self.points_m, self.normals, self.free_m, self.cell_m, reach_m)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

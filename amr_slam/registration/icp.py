@@ -7,6 +7,7 @@ poses are refined at once.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -16,8 +17,10 @@ from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
 from amr_slam.clouds import Cloud
+from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array, Pose2, wrap_angle
-from amr_slam.registration.alignment import Alignment, Target, facing
+from amr_slam.registration import kernels
+from amr_slam.registration.alignment import Alignment, Target
 
 # Below this many correspondences three unknowns are not determined by noisy points.
 _MIN_CORRESPONDENCES = 6
@@ -76,22 +79,95 @@ def align_many(
     a direction open, as along a corridor, the wheels decide. The returned information is that of
     the points alone.
     """
-    poses = np.array([pose.as_array() for pose in initials]).reshape(-1, 3)
-    final = np.zeros(len(poses), dtype=np.int64)
-    converged = np.zeros(len(poses), dtype=np.bool_)
-    active = np.arange(len(poses))
     if not len(source) or not len(target):
         return [_nothing(pose) for pose in initials]
-    kernel = max(params.kernel_m, 3.0 * source.sigma_m)
-    widths = np.geomspace(max(params.reach_m, kernel), kernel, params.narrowing_iterations)
+    poses = np.array([pose.as_array() for pose in initials]).reshape(-1, 3)
+    return _conclude(source, target, refine(source, target, poses, params, prior), params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """Where k poses went."""
+
+    poses: Array
+    """(k, 3) x m, y m, theta rad."""
+    iterations: NDArray[np.int32]
+    """(k,)."""
+    converged: NDArray[np.bool_]
+    """(k,)."""
+
+
+def refine(
+    source: Cloud, target: Target, poses: Array, params: IcpParams, prior: Prior | None = None
+) -> Refined:
+    """The iteration alone, from poses (k, 3): what a first pass over many candidates needs.
+
+    ``source`` and ``target`` hold at least one point each.
+    """
+    if params.metric == "line" and ENABLED:
+        expected = np.zeros(3) if prior is None else prior.target_from_source.as_array()
+        return Refined(
+            *kernels.refine_lines(
+                source.points_m,
+                source.normals,
+                poses,
+                target.points_m,
+                target.normals,
+                target.lookup.tiles,
+                target.lookup.pool,
+                target.lookup.layout,
+                _reach(source, params),
+                _least_agreement(params),
+                _widths(source, params),
+                params.max_iterations,
+                params.tolerance_m,
+                _variance(source, params),
+                expected,
+                np.zeros((3, 3)) if prior is None else prior.information,
+            )
+        )
+    return _refine_in_numpy(source, target, poses, params, prior)
+
+
+def _kernel(source: Cloud, params: IcpParams) -> float:
+    return max(params.kernel_m, 3.0 * source.sigma_m)
+
+
+def _reach(source: Cloud, params: IcpParams) -> float:
+    return max(params.reach_m, _kernel(source, params))
+
+
+def _widths(source: Cloud, params: IcpParams) -> Array:
+    return np.geomspace(
+        _reach(source, params), _kernel(source, params), params.narrowing_iterations
+    )  # fmt: skip
+
+
+def _variance(source: Cloud, params: IcpParams) -> float:
+    """Of one point's distance to its wall, as if neighbours that share an error were one."""
+    return params.correlation * max(source.sigma_m, params.sigma_floor_m) ** 2
+
+
+def _least_agreement(params: IcpParams) -> float:
+    return math.cos(math.radians(params.normals_agree_deg))
+
+
+def _refine_in_numpy(
+    source: Cloud, target: Target, poses: Array, params: IcpParams, prior: Prior | None
+) -> Refined:
+    poses = poses.copy()
+    final = np.zeros(len(poses), dtype=np.int32)
+    converged = np.zeros(len(poses), dtype=np.bool_)
+    active = np.arange(len(poses))
+    widths = _widths(source, params)
     narrowing = params.narrowing_iterations if params.metric == "line" else 0
     for iteration in range(params.max_iterations):
         width = widths[min(iteration, len(widths) - 1)]
-        pairs = _correspond(source, target, poses[active], params, kernel)
+        pairs = _correspond(source, target, poses[active], params)
         if params.metric == "point":
             step = _step_to_points(poses[active], pairs)
         else:
-            variance = params.correlation * max(source.sigma_m, params.sigma_floor_m) ** 2
+            variance = _variance(source, params)
             step = _step_to_lines(poses[active], pairs, width, variance, prior)
         poses[active] += step
         poses[active, 2] = wrap_angle(poses[active, 2])
@@ -104,7 +180,7 @@ def align_many(
     else:
         # Correspondences that flip to and fro keep a pose moving by millimetres: good enough.
         converged[active[last < 10.0 * params.tolerance_m]] = True
-    return _conclude(source, target, poses, final, converged, params, kernel)
+    return Refined(poses, final, converged)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,32 +193,25 @@ class _Pairs:
     valid: NDArray[np.bool_]  # (k, n)
 
 
-def _correspond(
-    source: Cloud, target: Target, poses: Array, params: IcpParams, kernel: float
-) -> _Pairs:
+def _correspond(source: Cloud, target: Target, poses: Array, params: IcpParams) -> _Pairs:
     c, s = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
     px, py = source.points_m[:, 0], source.points_m[:, 1]
     moved = np.stack([c * px - s * py + poses[:, 0:1], s * px + c * py + poses[:, 1:2]], axis=2)
     shape = moved.shape[:2]
     if params.metric == "point":
-        _, index = target.tree.query(moved.reshape(-1, 2))
-        index = np.asarray(index).reshape(shape)
+        row = np.asarray(target.tree.query(moved.reshape(-1, 2))[1]).reshape(shape)
         return _Pairs(
-            moved, target.points_m[index], target.normals[index], np.ones(shape, dtype=np.bool_)
+            moved, target.points_m[row], target.normals[row], np.ones(shape, dtype=np.bool_)
         )
     nx, ny = source.normals[:, 0], source.normals[:, 1]
     turned = np.stack([c * nx - s * ny, s * nx + c * ny], axis=2)
-    distance, index = target.facing_tree.query(
-        facing(moved, turned).reshape(-1, 4), distance_upper_bound=max(params.reach_m, kernel)
-    )
-    found = np.isfinite(distance).reshape(shape)
-    index = np.where(found, np.asarray(index).reshape(shape), 0)
-    normals = target.normals[index]
-    agreement = _dot(turned, normals)
-    limit = np.cos(np.radians(params.normals_agree_deg))
-    valid = found & ((normals[..., 0] != 0.0) | (normals[..., 1] != 0.0))
-    valid &= (agreement >= limit) | ~source.has_normal
-    return _Pairs(moved, target.points_m[index], normals, valid)
+    index = target.lookup.rows(moved, turned)
+    nearest, normals = target.points_m[index], target.normals[index]
+    off = moved - nearest
+    valid = (index >= 0) & (_dot(off, off) <= _reach(source, params) ** 2)
+    valid &= (normals[..., 0] != 0.0) | (normals[..., 1] != 0.0)
+    valid &= (_dot(turned, normals) >= _least_agreement(params)) | ~source.has_normal
+    return _Pairs(moved, nearest, normals, valid)
 
 
 def _dot(a: Array, b: Array) -> Array:
@@ -200,15 +269,10 @@ def _step_to_lines(
 
 
 def _conclude(
-    source: Cloud,
-    target: Target,
-    poses: Array,
-    iterations: NDArray[np.int64],
-    converged: NDArray[np.bool_],
-    params: IcpParams,
-    kernel: float,
+    source: Cloud, target: Target, refined: Refined, params: IcpParams
 ) -> list[Alignment]:
-    pairs = _correspond(source, target, poses, params, kernel)
+    poses, kernel = refined.poses, _kernel(source, params)
+    pairs = _correspond(source, target, poses, params)
     if params.metric == "line":
         residual = np.abs(_dot(pairs.normals, pairs.moved - pairs.nearest))
     else:
@@ -222,8 +286,8 @@ def _conclude(
         Alignment(
             target_from_source=Pose2.from_array(poses[k]),
             information=hessian[k] / (params.correlation * sigma[k] ** 2),
-            converged=bool(converged[k]) and int(count[k]) >= _MIN_CORRESPONDENCES,
-            iterations=int(iterations[k]),
+            converged=bool(refined.converged[k]) and int(count[k]) >= _MIN_CORRESPONDENCES,
+            iterations=int(refined.iterations[k]),
             inliers=float(count[k]) / len(source),
             rmse_m=float(rmse[k]),
         )

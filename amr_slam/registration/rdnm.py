@@ -9,12 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
+from numpy.typing import NDArray
 
+from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array, Pose2
+from amr_slam.registration import kernels
+from amr_slam.registration.alignment import Target
+from amr_slam.registration.casting import ranges
+
+Single = NDArray[np.float32]
 
 # Candidates are worked off in blocks that keep the temporaries within the cache's reach.
 _BLOCK_ELEMENTS = 2_000_000
@@ -24,6 +31,9 @@ _BLOCK_ELEMENTS = 2_000_000
 class RdnmParams:
     """Sections, layers, and what two signatures may differ by."""
 
+    signature: Literal["rays", "layer"] = "rays"
+    """How a signature is made: the median of a scan's section against one ray into the map, or
+    the paper's mean of the nearest layer for both."""
     sections: Annotated[int, Ge(8), Le(720)] = 120
     """Number of directions; the paper's alpha is 360 degrees by this."""
     layer_m: Annotated[float, Gt(0.0)] = 0.3
@@ -88,12 +98,64 @@ def _rdn_block(points: Array, viewpoints: Array, spacing_m: float, params: RdnmP
         return np.asarray((total / count).reshape(m, sections))
 
 
+def of_scan(points_m: Array, params: RdnmParams) -> Array:
+    """Signature (sections,) of a scan's points (n, 2) about the robot."""
+    if params.signature == "rays":
+        return medians(points_m, params)
+    return rdn(points_m, np.zeros((1, 2)), 0.0, params)[0]
+
+
+def of_map(target: Target, viewpoints_m: Array, params: RdnmParams) -> Array:
+    """Signatures (m, sections) of a map's walls seen from viewpoints (m, 2)."""
+    if params.signature == "rays":
+        return views(target, viewpoints_m, params)
+    return rdn(target.points_m, viewpoints_m, target.spacing_m, params)
+
+
+def views(target: Target, viewpoints_m: Array, params: RdnmParams) -> Array:
+    """Signatures (m, sections) in m of the map's walls seen from viewpoints (m, 2), by one ray
+    through the middle of each section; NaN where it meets nothing within ``range_max_m``.
+
+    The same as :func:`rdn` of the walls' points, but what lies behind a wall is never seen, and
+    the cost does not grow with the map.
+    """
+    angles = (np.arange(params.sections) + 0.5) * (math.tau / params.sections)
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    count = len(viewpoints_m)
+    seen = ranges(
+        target,
+        np.repeat(viewpoints_m, params.sections, axis=0),
+        np.tile(directions, (count, 1)),
+        params.range_max_m,
+    )
+    seen[np.isinf(seen)] = np.nan
+    return np.asarray(seen.reshape(count, params.sections))
+
+
+def medians(points_m: Array, params: RdnmParams) -> Array:
+    """Signature (sections,) in m of a scan about the robot: the median distance of each
+    section's points, NaN where it holds none. Noise does not pull it towards the robot, as it
+    does the nearest point's layer of :func:`rdn`."""
+    out = np.full(params.sections, np.nan)
+    distance = np.hypot(points_m[:, 0], points_m[:, 1])
+    near = distance <= params.range_max_m
+    distance = distance[near]
+    position = np.arctan2(points_m[near, 1], points_m[near, 0]) * (params.sections / math.tau)
+    section = np.floor(position).astype(np.int64) % params.sections
+    order = np.lexsort((distance, section))
+    section, distance = section[order], distance[order]
+    found, first, count = np.unique(section, return_index=True, return_counts=True)
+    low, high = first + (count - 1) // 2, first + count // 2
+    out[found] = 0.5 * (distance[low] + distance[high])
+    return out
+
+
 def shift(signature: Array, r: int) -> Array:
     """Eq. 2: component ``i`` of the result is component ``i + r`` (circularly)."""
     return np.roll(signature, -r, axis=-1)
 
 
-def match(h_x: Array, h_y: Array, params: RdnmParams) -> Array:
+def match(h_x: Array, h_y: Array, params: RdnmParams) -> Single:
     """Cost (m, sections) in m of each candidate and each rotation; lower is better.
 
     ``h_x`` (sections,): the scan's signature about the robot; ``h_y`` (m, sections): the map's
@@ -102,22 +164,28 @@ def match(h_x: Array, h_y: Array, params: RdnmParams) -> Array:
     All inf where the scan sees nothing. (Algorithm 1, line 16, all at once.)
     """
     seen = np.flatnonzero(np.isfinite(h_x))
-    sections = params.sections
-    if not len(seen):
-        return np.full((len(h_y), sections), np.inf)
+    if not len(seen) or not len(h_y):
+        return np.full(h_y.shape, np.inf, dtype=np.float32)
+    scan = h_x[seen].astype(np.float32)
+    limits = np.array([params.shorter_m, params.longer_m, params.unseen_m], dtype=np.float32)
+    if ENABLED:
+        places = np.where(np.isfinite(h_y), h_y, -1.0).astype(np.float32)
+        return kernels.match_signatures(seen, scan, np.hstack([places, places]), *limits)
+    return _match_in_numpy(seen, scan, h_y.astype(np.float32), limits)
+
+
+def _match_in_numpy(seen: NDArray[np.intp], scan: Single, h_y: Single, limits: Single) -> Single:
+    sections = h_y.shape[1]
     # A robot turned by r sees in its section i what lies in the map's section i + r.
     turned = (seen[None, :] + np.arange(sections)[:, None]) % sections
-    scan = h_x[seen].astype(np.float32)
-    costs = np.empty((len(h_y), sections))
+    costs = np.empty(h_y.shape, dtype=np.float32)
     block = max(1, _BLOCK_ELEMENTS // turned.size)
-    lower, upper = np.float32(-params.shorter_m), np.float32(params.longer_m)
+    shorter, longer, unseen_cost = limits
     for start in range(0, len(h_y), block):
-        part = h_y[start : start + block].astype(np.float32)
-        cost = np.clip(scan - part[:, turned], lower, upper)
+        cost = np.clip(scan - h_y[start : start + block][:, turned], -shorter, longer)
         np.abs(cost, out=cost)
-        unseen = ~np.isfinite(cost)
-        cost[unseen] = params.unseen_m
-        costs[start : start + len(part)] = cost.mean(axis=2)
+        cost[~np.isfinite(cost)] = unseen_cost
+        costs[start : start + len(cost)] = cost.mean(axis=2)
     return costs
 
 

@@ -1,0 +1,189 @@
+"""What speaks for a pose: how the whole scan fits there, and the verdict on the best place.
+
+One look at a scan is a witness, not a proof: halls repeat themselves, people stand in the way. So
+everything that was found is kept as data, the places that were not chosen included.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from amr_slam.clouds import Cloud
+from amr_slam.geometry import Array, Pose2
+from amr_slam.params import Acceptance, SlamParams
+from amr_slam.registration import casting, fit
+from amr_slam.registration.alignment import Alignment, Target
+from amr_slam.registration.error import mean_below
+
+# Points this near to a wall lie in a known place.
+_REACH_M = 0.3
+
+
+class Rung(enum.StrEnum):
+    """The steps of the ladder, quickest first."""
+
+    RELATIVE = "rdnm+icp"
+    CPD = "cpd+icp"
+    RESCUE = "rescue"
+    ABSOLUTE = "absolute"
+    EXHAUSTIVE = "exhaustive"
+
+
+class Verdict(enum.StrEnum):
+    """What a strategy says of its best pose."""
+
+    ACCEPTED = "accepted"
+    AMBIGUOUS = "ambiguous"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Hypothesis:
+    """One refined pose and how well the whole scan fits there. Shares are of the scan's surface."""
+
+    alignment: Alignment
+    score: float
+    """Mean fit of the scan's points, 1 on a wall to 0 off it, less the contradicting share."""
+    inliers: float
+    """Share of the points in known places that lie on walls."""
+    known: float
+    """Share of the points that lie where the map knows anything."""
+    conflict: float
+    """Share of the points that stand where the map saw free space."""
+    passes: float
+    """Share of the beams that went through a wall of the map before they ended."""
+    agreeing: float
+    """Share of the beams that end where the map's first wall is."""
+    e_psr_m: float
+    """Registration error, eq. 1."""
+
+    @property
+    def pose(self) -> Pose2:
+        return self.alignment.target_from_source
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Answer:
+    """What a strategy found, evidence included."""
+
+    verdict: Verdict
+    rung: Rung
+    candidates: int
+    """Poses that were refined."""
+    places: tuple[Hypothesis, ...] = ()
+    """The distinct places that were found, best first."""
+    odds: tuple[float, ...] = ()
+    """How probable each of them is; what is missing to 1 is for a place that is none of them."""
+    margin: float = 0.0
+    """Score of the best place over the second (over 0 where there is none)."""
+    reason: str | None = None
+    """Why nothing was accepted."""
+    elapsed_s: float = field(default=0.0, compare=False)
+    """Processor's time that the rung took; the one thing here that another run changes."""
+
+    @property
+    def best(self) -> Hypothesis | None:
+        return self.places[0] if self.places else None
+
+    @property
+    def second(self) -> Hypothesis | None:
+        return self.places[1] if len(self.places) > 1 else None
+
+
+def assess(X: Cloud, target: Target, alignment: Alignment, params: SlamParams) -> Hypothesis:
+    """How well the whole scan fits at one refined pose."""
+    pose = alignment.target_from_source
+    moved, turned = pose @ X.points_m, X.normals @ pose.rotation.T
+    distance, alike = fit.distances(target, moved, turned)
+    sigma = max(X.sigma_m, target.sigma_m)
+    reach = max(params.fit_m, 3.0 * X.sigma_m)
+    free = target.lookup.seen_free(moved) & (distance > fit.clearance(target))
+    share = X.weights / X.weights.sum()
+    known = float(share @ (free | (distance <= max(_REACH_M, 3.0 * sigma))))
+    conflict = float(share @ free)
+    on_wall = float(share @ (distance <= 0.5 * reach))
+    longer = _beyond_walls(X, target, pose)
+    tolerance = max(params.fit_m, 3.0 * sigma)
+    return Hypothesis(
+        alignment=alignment,
+        score=float(share @ (1.0 - np.minimum(alike / reach, 1.0))) - conflict,
+        inliers=min(on_wall / max(known, 1e-9), 1.0),
+        known=known,
+        conflict=conflict,
+        passes=float(share @ (longer > tolerance)),
+        agreeing=float(share @ (np.abs(longer) <= tolerance)),
+        e_psr_m=mean_below(distance),
+    )
+
+
+def _beyond_walls(X: Cloud, target: Target, pose: Pose2) -> Array:
+    """(n,) how much farther each beam went than the map's first wall in its way."""
+    beams = X.points_m - X.origins_m
+    reach = np.hypot(beams[:, 0], beams[:, 1])
+    directions = (beams / np.maximum(reach, 1e-9)[:, None]) @ pose.rotation.T
+    to_wall = casting.ranges(target, pose @ X.origins_m, directions, float(reach.max()) + 1.0)
+    return np.asarray(reach - to_wall)
+
+
+def distinct(ranked: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """The best of each place: results 0.3 m or 0.1 rad apart are different places."""
+    kept: list[Hypothesis] = []
+    for one in ranked:
+        if all(apart(one.pose, other.pose) for other in kept):
+            kept.append(one)
+    return tuple(kept)
+
+
+def apart(a: Pose2, b: Pose2) -> bool:
+    """Whether two poses are different places."""
+    return a.distance_to(b) > 0.3 or abs((a.inverse() @ b).theta_rad) > 0.1
+
+
+def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: SlamParams) -> Answer:
+    """The verdict on the best hypothesis: it must fit, and stand out from the second place."""
+    places = distinct(sorted(tried, key=lambda one: -one.score))
+    best = places[0]
+    second = places[1] if len(places) > 1 else None
+    margin = best.score - (max(second.score, 0.0) if second else 0.0)
+    bar = {
+        Rung.RELATIVE: params.relative,
+        Rung.CPD: params.rescue,  # it may have drifted as far as a search would look
+        Rung.RESCUE: params.rescue,
+        Rung.ABSOLUTE: params.absolute,
+        Rung.EXHAUSTIVE: params.absolute,
+    }[rung]
+    reason = objection(best, bar)
+    verdict = Verdict.UNKNOWN if reason else Verdict.ACCEPTED
+    if not reason and margin < bar.margin:
+        verdict = Verdict.AMBIGUOUS
+        reason = f"a second place fits nearly as well (margin {margin:.2f} < {bar.margin:.2f})"
+    return Answer(
+        verdict=verdict,
+        rung=rung,
+        candidates=candidates,
+        places=places,
+        margin=margin,
+        reason=reason,
+    )
+
+
+def objection(hypothesis: Hypothesis, bar: Acceptance) -> str | None:
+    """Why a pose cannot be accepted on its own, or None."""
+    if hypothesis.e_psr_m >= bar.e_max_m:
+        return f"registration error {hypothesis.e_psr_m:.2f} m >= {bar.e_max_m:.2f} m"
+    if hypothesis.known < bar.known:
+        return f"only {hypothesis.known:.0%} of the scan lies where the map knows anything"
+    if hypothesis.inliers < bar.inliers:
+        return f"only {hypothesis.inliers:.0%} of the known points lie on walls"
+    if hypothesis.conflict > bar.conflict:
+        return f"{hypothesis.conflict:.0%} of the scan stands where the map saw free space"
+    return None
+
+
+def unknown(reason: str, rung: Rung = Rung.RELATIVE) -> Answer:
+    """No pose, with its reason."""
+    return Answer(verdict=Verdict.UNKNOWN, rung=rung, candidates=0, reason=reason)
