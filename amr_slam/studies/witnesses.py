@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -133,20 +134,20 @@ def beyond(
     count: int,
     rng: np.random.Generator,
 ) -> Iterator[Witnesses]:
-    """``count`` free poses in the half of a hall of which the map knows nothing.
-
-    Fewer where the half is hardly ever out of the mapped half's sight.
-    """
+    """``count`` poses of the half of a hall of which the map knows nothing."""
     half, cut_x = half_of(scene)
     known = half_map(half, cut_x, model, params, rng)
     hunt = Hunt(known=known, model=model, params=params, scene=half, in_map=True)
-    found = 0
-    for pose in half.poses(20 * count, rng, covered=False):
-        if found == count:
-            return
-        if pose.x_m > cut_x and half.coverage(pose) < UNMAPPED:
-            found += 1
-            yield hunt.witnesses(pose, replace(under, negative=True), rng)
+    for pose in unmapped_poses(half, cut_x, count, rng):
+        yield hunt.witnesses(pose, replace(under, negative=True), rng)
+
+
+def unmapped_poses(half: Scene, cut_x: float, count: int, rng: np.random.Generator) -> list[Pose2]:
+    """Free poses beyond ``cut_x`` that see hardly any mapped wall; fewer than ``count`` where the
+    mapped half is hardly ever out of sight."""
+    free = half.poses(20 * count, rng, covered=False)
+    far = (pose for pose in free if pose.x_m > cut_x and half.coverage(pose) < UNMAPPED)
+    return list(itertools.islice(far, count))
 
 
 def half_of(scene: Scene) -> tuple[Scene, float]:
