@@ -2,12 +2,13 @@
 
 from amr_slam.simulation.casting import cast
 from amr_slam.simulation.grid import ClearanceGrid
+from amr_slam.simulation.laboratory import laboratory
 from amr_slam.simulation.people import PERSON_RADIUS_M
 from amr_slam.simulation.pilot import DRIVABLE, MAX_POSE_AGE_S, CautiousPilot
 from amr_slam.simulation.robot import WHEEL_PERIOD_NS, SimulatedRobot, Vehicle
 from amr_slam.simulation.scanner import ScannerModel, opposite_scanners, take_scan
 from amr_slam.simulation.tour import PathFollower, Tour, plan_tour
-from amr_slam.simulation.world import World, laboratory
+from amr_slam.simulation.world import World
 
 __all__ = [
     "DRIVABLE",

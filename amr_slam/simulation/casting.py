@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from amr_slam import compiled
 from amr_slam.geometry import Array
+from amr_slam.simulation import kernels
 
 
 def cast(
@@ -21,15 +23,25 @@ def cast(
     the time of each beam; a circle that holds the beam's start is not met.
     """
     directions = np.column_stack([np.cos(angles_rad), np.sin(angles_rad)])
-    distance = _to_segments(origins_m, directions, segments_m)
+    if compiled.ENABLED and len(segments_m):
+        distance = kernels.to_segments(
+            np.array(origins_m, dtype=np.float64),
+            directions,
+            np.array(segments_m, dtype=np.float64),  # compiled for one kind only: writable
+        )
+    else:
+        distance = to_all_segments(origins_m, directions, segments_m)
     if circle_centres_m is not None and circle_centres_m.shape[1] > 0:
         circles = _to_circles(origins_m, directions, circle_centres_m, circle_radius_m)
         distance = np.minimum(distance, circles)
     return distance
 
 
-def _to_segments(origins: Array, directions: Array, segments: Array) -> Array:
-    """Solves origin + t direction = start + u edge for each beam and segment."""
+def to_all_segments(origins: Array, directions: Array, segments: Array) -> Array:
+    """(n,) as :func:`amr_slam.simulation.kernels.to_segments`, from each beam and segment.
+
+    Solves origin + t direction = start + u edge.
+    """
     edge_x, edge_y = (segments[:, 2:] - segments[:, :2]).T
     to_x = segments[:, 0] - origins[:, :1]
     to_y = segments[:, 1] - origins[:, 1:]

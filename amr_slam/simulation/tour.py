@@ -1,29 +1,34 @@
-"""A way through a laboratory that shows all of it, and the steering along it."""
+"""A way through a world that shows all of it, and the steering along it."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 
 from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
+from amr_slam.simulation.casting import cast
 from amr_slam.simulation.grid import ClearanceGrid
+from amr_slam.simulation.planning import STEP_M, ShortPlanner
+from amr_slam.simulation.rounds import long_round
+from amr_slam.simulation.shapes import polygon_area
 from amr_slam.simulation.world import World
 
 _CRUISE_MPS = 0.3
 _TURN_RADPS = 0.8
 # With its turns about 85 scans at 0.5 Hz and 0.3 m/s, as in the paper's section 3.1.
 _LENGTH_M = 43.0
+# A room up to this size may be shown by a round of this length: the paper's has 200 m2.
+_SHORT_AREA_M2 = 250.0
+# The round must show this share of the floor from this near: laboratories reach 0.998.
+_SHOWN_SHARE = 0.98
+_SHOWN_M = 12.0
 # Beside the hull on the planned way: what steering and a SLAM pose may be off.
 _MARGIN_M = 0.15
-# Further from walls than this a way gets no better.
-_COMFORT_M = 0.9
-_STEP_M = 0.05
+# The same where doors leave no more: 0.95 m wide, for a hull of 0.7 m.
+_DOOR_MARGIN_M = 0.07
 _LOOKAHEAD_M = 0.4
 # Beyond this angle to its aim the robot turns on the spot.
 _TURN_ON_SPOT_RAD = 0.8
@@ -48,127 +53,47 @@ class Tour:
 
 
 def plan_tour(world: World, radius_m: float = 0.35) -> Tour:
-    """A round of about 45 m through the free space for a robot of ``radius_m``.
+    """A round through the free space for a robot of ``radius_m``.
 
+    About 45 m long where that shows the whole room, as in the laboratories. In larger worlds, and
+    in those of many rooms, as long as it takes to come near every place that can be reached.
     Raises ValueError when there is no room for one.
     """
-    planner = _Planner(ClearanceGrid.of(world), radius_m + _MARGIN_M)
-    path = planner.closed_path(_LENGTH_M)
-    ahead = path[round(_LOOKAHEAD_M / _STEP_M)] - path[0]
+    grid = ClearanceGrid.of(world)
+    path = None
+    if polygon_area(world.outline_m) <= _SHORT_AREA_M2:
+        path = _short_round(world, grid, radius_m)
+    if path is None:
+        path = long_round(grid, radius_m + _DOOR_MARGIN_M)
+    ahead = path[round(_LOOKAHEAD_M / STEP_M)] - path[0]
     start = Pose2(float(path[0, 0]), float(path[0, 1]), math.atan2(ahead[1], ahead[0]))
     return Tour(world_from_map=start, path_m=path)
 
 
-class _Planner:
-    """Shortest comfortable ways between cells of a clearance grid."""
-
-    def __init__(self, grid: ClearanceGrid, needed_m: float) -> None:
-        self._grid = grid
-        self._needed_m = needed_m
-        clearance = grid.clearance_m.ravel()
-        graph = _cell_graph(grid, needed_m)
-        _, label = csgraph.connected_components(graph, directed=False)
-        passable = clearance >= needed_m
-        if not passable.any():
-            raise ValueError("no room for the robot")
-        largest = np.argmax(np.bincount(label[passable]))
-        self._cells = np.flatnonzero(passable & (label == largest))
-        self._graph = graph
-
-    def closed_path(self, length_m: float) -> Array:
-        """(n, 2) through the places furthest from each other, as many as the length takes."""
-        clearance = self._grid.clearance_m.ravel()
-        roomy = self._cells[clearance[self._cells] >= self._needed_m + 0.2]
-        places = [int(roomy[np.argmax(clearance[roomy])])]
-        distances: list[Array] = []
-        parents: list[NDArray[np.int32]] = []
-        best = None
-        while len(places) < 24:
-            distance, parent = csgraph.dijkstra(
-                self._graph, directed=False, indices=[places[-1]], return_predecessors=True
-            )
-            distances.append(distance[0])
-            parents.append(parent[0])
-            if len(places) >= 3:
-                order = _round_trip(np.array(distances)[:, places])
-                best = self._path(places, parents, order)
-                if _STEP_M * len(best) >= length_m:
-                    break
-            nearest = np.min(np.array(distances)[:, roomy], axis=0)
-            places.append(int(roomy[np.argmax(nearest)]))
-        if best is None:
-            raise ValueError("no room for a tour")
-        return best
-
-    def _path(self, places: list[int], parents: list[NDArray[np.int32]], order: list[int]) -> Array:
-        cells: list[int] = []
-        for i, j in itertools.pairwise([*order, order[0]]):
-            back = [places[j]]
-            while back[-1] != places[i]:
-                back.append(int(parents[i][back[-1]]))
-            cells += back[:0:-1]
-        points = np.array([self._grid.centre(cell) for cell in cells])
-        return self._smooth(_resample(points))
-
-    def _smooth(self, path: Array) -> Array:
-        """Corners of the grid rounded off wherever the room allows it."""
-        window = round(0.6 / _STEP_M) | 1
-        kernel = np.hanning(window + 2)[1:-1]
-        kernel /= kernel.sum()
-        half = window // 2
-        padded = np.concatenate([path[-half:], path, path[:half]])
-        smooth = np.column_stack([np.convolve(axis, kernel, "valid") for axis in padded.T])
-        keeps_room = self._grid.at(smooth) >= self._needed_m
-        return _resample(np.where(keeps_room[:, None], smooth, path))
+def _short_round(world: World, grid: ClearanceGrid, radius_m: float) -> Array | None:
+    """None where there is no room for it or it leaves too much out."""
+    try:
+        path = ShortPlanner(grid, radius_m + _MARGIN_M).closed_path(_LENGTH_M)
+    except ValueError:
+        return None
+    floor = grid.clearance_m > radius_m
+    shown = _seen(world, grid, path[:: round(1.0 / STEP_M)])
+    return path if np.mean(shown[floor]) >= _SHOWN_SHARE else None
 
 
-def _cell_graph(grid: ClearanceGrid, needed_m: float) -> sparse.csr_array:
-    """Eight neighbours; narrow places cost up to three times their length."""
-    clearance = grid.clearance_m
-    passable = clearance >= needed_m
-    discomfort = np.clip((_COMFORT_M - clearance) / (_COMFORT_M - needed_m), 0.0, 1.0)
-    index = np.arange(clearance.size, dtype=np.int64).reshape(clearance.shape)
-    rows, columns = clearance.shape
-    starts: list[NDArray[np.int64]] = []
-    ends: list[NDArray[np.int64]] = []
-    costs: list[Array] = []
-    for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        a = np.s_[: rows - dy, max(0, -dx) : columns - max(0, dx)]
-        b = np.s_[dy:, max(0, dx) : columns + min(0, dx)]
-        both = passable[a] & passable[b]
-        length = grid.cell_m * math.hypot(dy, dx)
-        starts.append(index[a][both])
-        ends.append(index[b][both])
-        costs.append(length * (1.0 + discomfort[a] + discomfort[b])[both])
-    pairs = (np.concatenate(starts), np.concatenate(ends))
-    return sparse.csr_array((np.concatenate(costs), pairs), shape=(clearance.size,) * 2)
-
-
-def _round_trip(distances: Array) -> list[int]:
-    """Order of all places from the first, improved by reversals (2-opt) until none helps."""
-    count = len(distances)
-    order = [0]
-    while len(order) < count:
-        rest = [i for i in range(count) if i not in order]
-        order.append(min(rest, key=lambda i: float(distances[order[-1], i])))
-    improved = True
-    while improved:
-        improved = False
-        for i, j in itertools.combinations(range(1, count), 2):
-            a, b, c, d = order[i - 1], order[i], order[j], order[(j + 1) % count]
-            gain = distances[a, b] + distances[c, d] - distances[a, c] - distances[b, d]
-            if gain > 1e-9:
-                order[i : j + 1] = order[i : j + 1][::-1]
-                improved = True
-    return order
-
-
-def _resample(points: Array) -> Array:
-    """A closed way with even steps."""
-    closed = np.concatenate([points, points[:1]])
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(closed, axis=0).T))])
-    even = np.linspace(0.0, way[-1], max(4, round(way[-1] / _STEP_M)), endpoint=False)
-    return np.column_stack([np.interp(even, way, axis) for axis in closed.T])
+def _seen(world: World, grid: ClearanceGrid, positions: Array) -> NDArray[np.bool_]:
+    """The cells of a grid that a beam from one of (n, 2) positions crosses."""
+    angles = np.radians(np.arange(0.0, 360.0, 0.5))
+    directions = np.column_stack([np.cos(angles), np.sin(angles)])
+    steps = np.arange(0.0, _SHOWN_M, grid.cell_m)
+    seen: NDArray[np.bool_] = np.zeros(grid.clearance_m.shape, dtype=np.bool_)
+    for position in positions:
+        ranges = cast(np.broadcast_to(position, directions.shape), angles, world.segments_m)
+        ends = position + steps[:, None, None] * directions
+        cells = ends[steps[:, None] < ranges]
+        column, row = np.rint((cells - grid.origin_m) / grid.cell_m).astype(np.int64).T
+        seen[row, column] = True
+    return seen
 
 
 class PathFollower:
@@ -190,7 +115,7 @@ class PathFollower:
     def steer(self, pose: Pose2) -> tuple[float, float]:
         """The command (m/s, rad/s) from a pose in the way's frame."""
         self._progress += self._steps_ahead(pose)
-        aim = self._path[(self._progress + round(_LOOKAHEAD_M / _STEP_M)) % len(self._path)]
+        aim = self._path[(self._progress + round(_LOOKAHEAD_M / STEP_M)) % len(self._path)]
         to_aim = pose.inverse() @ aim[None]
         bearing_rad = wrap_angle(math.atan2(to_aim[0, 1], to_aim[0, 0]))
         if abs(bearing_rad) > _TURN_ON_SPOT_RAD:
@@ -201,5 +126,5 @@ class PathFollower:
 
     def _steps_ahead(self, pose: Pose2) -> int:
         """To the nearest point of the next metre: never back, never over to another branch."""
-        ahead = (self._progress + np.arange(round(1.0 / _STEP_M))) % len(self._path)
+        ahead = (self._progress + np.arange(round(1.0 / STEP_M))) % len(self._path)
         return int(np.argmin(np.hypot(*(self._path[ahead] - pose.translation).T)))
