@@ -210,8 +210,8 @@ in each, {poses} new scans from covered poses are found by the absolute strategy
 the default parameters. The bound is that of one scan of 541 beams against exactly known walls: no
 map is as good as that, so a ratio of 1 also asks for a map without error.
 
-Errors count where the answer was right (0.25 m, 5°), accepted or not; the table says how many. The
-simulator carries the noise of both coordinates onto the beam, so projecting points on their beams
+Errors count where the answer was right (0.25 m, 5°), accepted or not; the table says how many, and
+where they are fewer, the ratio flatters. The simulator carries the noise of both coordinates onto the beam, so projecting points on their beams
 gains nothing here. NEES and `error95_m` are those of the registration's covariance, before the
 fusion inflates it. Intervals come from resampling whole worlds, because scans in one map share its
 errors. Columns x, y, heading: RMSE over bound of that axis alone. An honest covariance has a mean

@@ -97,14 +97,21 @@ def _our_cloud(query: Query) -> Cloud:
     return cloud_from_scan(query.scan, Pose2.identity(), _PARAMS.clouds)
 
 
-def _our_icp(known: PointMap) -> Find:
-    target = known.target()
+def _given_cloud(query: Query) -> Cloud:
+    return query.cloud
 
-    def find(query: Query) -> Found:
-        found = icp.align(_our_cloud(query), target, query.start, _PARAMS.icp)
-        return Found(found.target_from_source, found.converged)
 
-    return find
+def _our_icp(cloud_of: Callable[[Query], Cloud]) -> Callable[[PointMap], Find]:
+    def prepare(known: PointMap) -> Find:
+        target = known.target()
+
+        def find(query: Query) -> Found:
+            found = icp.align(cloud_of(query), target, query.start, _PARAMS.icp)
+            return Found(found.target_from_source, found.converged)
+
+        return find
+
+    return prepare
 
 
 def _our_relative(known: PointMap) -> Find:
@@ -261,7 +268,7 @@ def _kiss_global(known: PointMap) -> Find:
     peer: Any = importlib.import_module("kiss_matcher")
     config = peer.KISSMatcherConfig(_KISS_VOXEL_M, use_quatro=True)
     target = _rows(known.target().points_m)
-    refine = _our_icp(known)
+    refine = _our_icp(_given_cloud)(known)
 
     def find(query: Query) -> Found:
         matcher = peer.KISSMatcher(config)
@@ -309,8 +316,15 @@ LOCAL: Final = (
     Method(
         name="ours: ICP alone",
         package="amr_slam",
-        setting="`icp.align`, one start, and `cloud_from_scan`, which computes the scan's normals",
-        prepare=_our_icp,
+        setting="`icp.align`, one start; `cloud_from_scan`, which computes normals, not counted",
+        prepare=_our_icp(_given_cloud),
+    ),
+    Method(
+        name="ours: cloud and ICP",
+        package="amr_slam",
+        setting="the same, and `cloud_from_scan` counted: where the peers' times begin, points in "
+        "the base frame, lies between the two",
+        prepare=_our_icp(_our_cloud),
     ),
     Method(
         name="ours: whole relative update",

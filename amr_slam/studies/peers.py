@@ -206,8 +206,10 @@ def _figure(results: Results) -> Figure:
         if method.name in results:
             tally = results[method.name][sigma]
             time_ms, error_mm = 1e3 * np.median(tally.times_s), 1e3 * np.median(tally.errors_m)
-            local.loglog(time_ms, error_mm, "o", label=method.name)
-    local.set(xlabel="median processor time, ms", ylabel="median position error, mm")
+            local.semilogx(time_ms, error_mm, "o", label=method.name)
+    local.set(
+        xlabel="median processor time, ms", ylabel="median position error, mm", ylim=(0.0, None)
+    )
     width = 0.8 / len(GLOBAL)
     places = np.arange(len(SIGMAS_M))
     for k, method in enumerate(GLOBAL):
