@@ -53,8 +53,12 @@ class Trial:
     inliers: float
     known: float
     conflict: float
+    passes: float
+    agreeing: float
     e_psr_m: float
     margin: float
+    odds: float
+    """How probable the best place is said to be."""
     ms: float
     """Processor time."""
 
@@ -98,8 +102,11 @@ def judged(answer: Answer, truth: Pose2 | None, under: Circumstances, ms: float)
         inliers=best.inliers if best else math.nan,
         known=best.known if best else math.nan,
         conflict=best.conflict if best else math.nan,
+        passes=best.passes if best else math.nan,
+        agreeing=best.agreeing if best else math.nan,
         e_psr_m=best.e_psr_m if best else math.nan,
         margin=answer.margin,
+        odds=answer.odds[0] if answer.odds else math.nan,
         ms=ms,
     )
 

@@ -33,8 +33,11 @@ RIGHT = Trial(
     inliers=0.95,
     known=1.0,
     conflict=0.0,
+    passes=0.0,
+    agreeing=0.9,
     e_psr_m=0.02,
     margin=0.4,
+    odds=0.99,
     ms=1.0,
 )
 WRONG = replace(RIGHT, error_m=3.0)
