@@ -207,6 +207,9 @@ def _figure(results: Results) -> Figure:
             tally = results[method.name][sigma]
             time_ms, error_mm = 1e3 * np.median(tally.times_s), 1e3 * np.median(tally.errors_m)
             local.semilogx(time_ms, error_mm, "o", label=method.name)
+    local.margins(0.1)
+    local.set_xticks([0.3, 1, 3, 10, 30, 100, 300], ["0.3", "1", "3", "10", "30", "100", "300"])
+    local.minorticks_off()
     local.set(
         xlabel="median processor time, ms", ylabel="median position error, mm", ylim=(0.0, None)
     )
