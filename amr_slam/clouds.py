@@ -16,6 +16,8 @@ from amr_slam.samples import Scan
 
 # Beams this far apart on a surface each count in full.
 _FULL_WEIGHT_M = 0.05
+# Noise of a third of a metre needs this many to each side; their cost is no more than that.
+_MOST_NORMAL_BEAMS = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +31,8 @@ class CloudParams:
     normal_beams: Annotated[int, Ge(1), Le(30)] = 8
     """A normal is taken from at most this many beams to each side."""
     normal_radius_m: Annotated[float, Gt(0.0)] = 0.15
-    """... that end within this distance of the point (or 2.5 beam spacings, if that is more)."""
+    """... that end within this distance of the point, or 2.5 beam spacings, or four standard
+    deviations of the noise, if that is more: with noise, more beams are taken in proportion."""
     grazing_deg: Annotated[float, Ge(0.0), Le(45.0)] = 5.0
     """Hits flatter than this to their surface are mixed pixels more often than walls."""
 
@@ -50,6 +53,9 @@ class Cloud:
     things fill many beams: counted plainly, two legs outweigh a wall."""
     sigma_m: float
     """Noise of one range, estimated from the scan itself."""
+    across_m: float
+    """Noise of a point's distance to its wall: less than ``sigma_m``, as most walls are met
+    obliquely. The same estimate, each beam's part projected on the wall's normal."""
 
     def __post_init__(self) -> None:
         for name in ("points_m", "normals", "origins_m", "weights"):
@@ -67,6 +73,7 @@ class Cloud:
             origins_m=self.origins_m[rows],
             weights=self.weights[rows],
             sigma_m=self.sigma_m,
+            across_m=self.across_m,
         )
 
     def even(self, count: int) -> NDArray[np.intp]:
@@ -86,28 +93,43 @@ class Cloud:
 def range_noise(ranges_m: Array, step_rad: float) -> float:
     """Standard deviation of one range in m, from neighbouring triples of ranges (n,).
 
-    On a straight wall u = 1/r obeys u[i-1] + u[i+1] = 2 cos(step) u[i] exactly, however oblique
-    it is; what is left, times r^2, has a variance of 6 sigma^2. The median absolute deviation
-    ignores corners and gaps; NaN and inf are skipped. 0 where fewer than 8 triples tell.
+    The median absolute deviation ignores corners and gaps; NaN and inf are skipped. 0 where fewer
+    than 8 triples tell.
+    """
+    return _spread(_bends(ranges_m, step_rad))
+
+
+def _bends(ranges_m: Array, step_rad: float) -> Array:
+    """(n - 2,) by how much each inner range leaves the straight wall through its neighbours.
+
+    On such a wall u = 1/r obeys u[i-1] + u[i+1] = 2 cos(step) u[i] exactly, however oblique it
+    is; what is left, times r^2, has a variance of 6 sigma^2.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         inverse = 1.0 / ranges_m
         left = inverse[:-2] + inverse[2:] - 2.0 * math.cos(step_rad) * inverse[1:-1]
-        left = left * ranges_m[1:-1] ** 2
-    left = left[np.isfinite(left)]
-    if len(left) < 8:
+        return np.asarray(left * ranges_m[1:-1] ** 2)
+
+
+def _spread(bends: Array) -> float:
+    bends = bends[np.isfinite(bends)]
+    if len(bends) < 8:
         return 0.0
-    return float(1.4826 * np.median(np.abs(left)) / math.sqrt(6.0))
+    return float(1.4826 * np.median(np.abs(bends)) / math.sqrt(6.0))
 
 
-def _surface(points: Array, spacing: Array, params: CloudParams) -> tuple[Array, Array]:
+def _surface(
+    points: Array, spacing: Array, sigma_m: float, params: CloudParams
+) -> tuple[Array, Array]:
     """Normals (n, 2) and neighbour counts (n,) of points in beam order, by local PCA.
 
     ``spacing`` (n,) is the distance of neighbouring beams at the point's range.
     """
     n = len(points)
-    radius = np.maximum(params.normal_radius_m, 2.5 * spacing)
-    offsets = np.arange(-params.normal_beams, params.normal_beams + 1)
+    noisy = max(4.0 * sigma_m / params.normal_radius_m, 1.0)
+    radius = np.maximum(noisy * params.normal_radius_m, 2.5 * spacing)
+    beams = min(round(noisy * params.normal_beams), _MOST_NORMAL_BEAMS)
+    offsets = np.arange(-beams, beams + 1)
     index = np.arange(n) + offsets[:, None]
     inside = (index >= 0) & (index < n)
     difference = points[np.clip(index, 0, n - 1)] - points
@@ -156,18 +178,22 @@ def cloud_from_scan(
     if not len(beams):
         return Cloud(
             stamp_ns=scan.mid_stamp_ns, points_m=points, normals=points, origins_m=origins,
-            weights=hits, sigma_m=0.0,
+            weights=hits, sigma_m=0.0, across_m=0.0,
         )  # fmt: skip
     # Neighbours are counted in beams, so that a gap of missing returns separates surfaces.
     spread = np.full((len(ranges), 2), np.nan)
     spread[beams] = points
     spacing = np.where(usable, ranges, 0.0) * abs(scan.angle_step_rad)
-    normals, count = _surface(spread, spacing, params)
+    bends = _bends(np.where(usable, ranges, np.nan), scan.angle_step_rad)
+    sigma_m = _spread(bends)
+    normals, count = _surface(spread, spacing, sigma_m, params)
     normals, count = normals[beams], count[beams]
     sight = origins - points
     sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-9)
     facing = np.sum(normals * sight, axis=1)
     normals = normals * np.where(facing < 0.0, -1.0, 1.0)[:, None]
+    steepness = np.full(len(ranges), np.nan)
+    steepness[beams] = np.abs(facing)
     straight = np.abs(facing) >= math.sin(math.radians(params.grazing_deg))
     known = (count >= 4) & straight
     # An isolated return (mixed pixel, dust) has no neighbour at all: count includes itself.
@@ -178,7 +204,8 @@ def cloud_from_scan(
         normals=np.where(known[:, None], normals, 0.0)[keep],
         origins_m=origins[keep],
         weights=np.clip(spacing[beams] / _FULL_WEIGHT_M, 0.01, 1.0)[keep],
-        sigma_m=range_noise(np.where(usable, ranges, np.nan), scan.angle_step_rad),
+        sigma_m=sigma_m,
+        across_m=_spread(bends * steepness[1:-1]),
     )
 
 
@@ -209,4 +236,5 @@ def merge(clouds: Sequence[tuple[Cloud, Pose2]]) -> Cloud:
         origins_m=np.concatenate([pose @ cloud.origins_m for cloud, pose in clouds]),
         weights=np.concatenate([cloud.weights for cloud, _ in clouds]),
         sigma_m=max(cloud.sigma_m for cloud, _ in clouds),
+        across_m=max(cloud.across_m for cloud, _ in clouds),
     )

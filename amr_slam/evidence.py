@@ -99,15 +99,14 @@ def assess(X: Cloud, target: Target, alignment: Alignment, params: SlamParams) -
     pose = alignment.target_from_source
     moved, turned = pose @ X.points_m, X.normals @ pose.rotation.T
     distance, alike = fit.distances(target, moved, turned)
-    sigma = max(X.sigma_m, target.sigma_m)
-    reach = max(params.fit_m, 3.0 * X.sigma_m)
-    free = target.lookup.seen_free(moved) & (distance > fit.clearance(target))
+    reach = max(params.fit_m, 3.0 * X.across_m)
+    free = target.lookup.seen_free(moved) & (distance > fit.clearance(X))
     share = X.weights / X.weights.sum()
-    known = float(share @ (free | (distance <= max(_REACH_M, 3.0 * sigma))))
+    known = float(share @ (free | (distance <= max(_REACH_M, 3.0 * X.across_m))))
     conflict = float(share @ free)
     on_wall = float(share @ (distance <= 0.5 * reach))
     longer = _beyond_walls(X, target, pose)
-    tolerance = max(params.fit_m, 3.0 * sigma)
+    tolerance = max(params.fit_m, 2.5 * X.sigma_m)
     return Hypothesis(
         alignment=alignment,
         score=float(share @ (1.0 - np.minimum(alike / reach, 1.0))) - conflict,

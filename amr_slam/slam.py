@@ -163,7 +163,7 @@ def refine_and_decide(
     if len(rough) > params.finalists:
         part = X.take(X.even(params.first_points))
         coarse = icp.refine(part, target, rough, params.icp, prior).poses
-        reach = max(params.fit_m, 3.0 * X.sigma_m)
+        reach = max(params.fit_m, 3.0 * X.across_m)
         scores = fit.scores(part, target, coarse, reach)
         finalists = _best_distinct(coarse, scores, params.finalists)
     alignments = icp.align_many(X, target, poses_from(finalists), params.icp, prior)

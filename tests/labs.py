@@ -139,6 +139,7 @@ def plain_cloud(
         origins_m=np.zeros_like(points_m),
         weights=np.full(len(points_m), weight),
         sigma_m=sigma_m,
+        across_m=sigma_m,
     )
 
 

@@ -12,9 +12,9 @@ from amr_slam.registration import kernels
 from amr_slam.registration.alignment import Target
 
 
-def clearance(target: Target) -> float:
-    """How far from the nearest wall point a place is free in m: walls have errors, too."""
-    return 0.25 + 3.0 * target.sigma_m
+def clearance(source: Cloud) -> float:
+    """How far in m from the nearest wall a noisy point must be to contradict free space."""
+    return 0.25 + 3.0 * source.across_m
 
 
 def distances(target: Target, moved_m: Array, turned: Array) -> tuple[Array, Array]:
@@ -58,7 +58,7 @@ def scores(source: Cloud, target: Target, poses: Array, scale_m: float) -> Array
             lookup.free,
             lookup.layout,
             scale_m,
-            clearance(target),
+            clearance(source),
         )
     share = source.weights / source.weights.sum()
     c, s = np.cos(poses[:, 2:3]), np.sin(poses[:, 2:3])
@@ -68,7 +68,7 @@ def scores(source: Cloud, target: Target, poses: Array, scale_m: float) -> Array
     alike = _distance(target, moved, lookup.rows(moved, turned))
     nearest = _distance(target, moved, lookup.rows(moved, np.zeros_like(turned)))
     fits = alike < scale_m
-    wrong = ~fits & lookup.seen_free(moved) & (nearest > clearance(target))
+    wrong = ~fits & lookup.seen_free(moved) & (nearest > clearance(source))
     return np.asarray((np.where(fits, 1.0 - alike / scale_m, 0.0) - wrong) @ share)
 
 

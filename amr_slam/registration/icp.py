@@ -40,7 +40,7 @@ class IcpParams:
     """Iterations in which the kernel narrows from the first to the final width."""
     max_iterations: Annotated[int, Ge(1), Le(500)] = 20
     """Where there is no convergence by then, the last pose is returned and says so."""
-    normals_agree_deg: Annotated[float, Gt(0.0), Le(90.0)] = 50.0
+    normals_agree_deg: Annotated[float, Gt(0.0), Le(90.0)] = 45.0
     """Two surfaces that meet at more than this are not the same one."""
     tolerance_m: Annotated[float, Gt(0.0)] = 1e-3
     """Steps shorter than this (and than as many rad) end the iteration."""
@@ -130,7 +130,7 @@ def refine(
 
 
 def _kernel(source: Cloud, params: IcpParams) -> float:
-    return max(params.kernel_m, 3.0 * source.sigma_m)
+    return max(params.kernel_m, 3.0 * source.across_m)
 
 
 def _reach(source: Cloud, params: IcpParams) -> float:
@@ -145,7 +145,7 @@ def _widths(source: Cloud, params: IcpParams) -> Array:
 
 def _variance(source: Cloud, params: IcpParams) -> float:
     """Of one point's distance to its wall, as if neighbours that share an error were one."""
-    return params.correlation * max(source.sigma_m, params.sigma_floor_m) ** 2
+    return params.correlation * max(source.across_m, params.sigma_floor_m) ** 2
 
 
 def _least_agreement(params: IcpParams) -> float:
@@ -280,7 +280,7 @@ def _conclude(
     inlier = pairs.valid & (residual <= kernel)
     count = inlier.sum(axis=1)
     rmse = np.sqrt(np.sum(np.where(inlier, residual**2, 0.0), axis=1) / np.maximum(count, 1))
-    sigma = np.maximum(np.maximum(rmse, source.sigma_m), params.sigma_floor_m)
+    sigma = np.maximum(np.maximum(rmse, source.across_m), params.sigma_floor_m)
     hessian, _ = _normal_equations(poses, pairs, kernel)
     return [
         Alignment(
