@@ -164,27 +164,52 @@ def cloud_from_scan(
     angles = -scan.angles_rad if upside_down else scan.angles_rad
     ranges = scan.ranges_m
     with np.errstate(invalid="ignore"):
-        usable = (ranges >= params.range_min_m) & (
-            ranges <= min(params.range_max_m, scan.range_max_m)
-        )
+        usable = (ranges >= params.range_min_m) & (ranges <= min(scan.range_max_m, 1e9))
+    ranges = np.where(usable, ranges, np.nan)
+    points = ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return cloud_from_points(
+        points,
+        base_from_lidar,
+        params,
+        step_rad=scan.angle_step_rad,
+        stamp_ns=scan.mid_stamp_ns,
+        sweep=sweep,
+    )
+
+
+def cloud_from_points(
+    points_m: Array,
+    base_from_lidar: Pose2,
+    params: CloudParams,
+    *,
+    step_rad: float,
+    stamp_ns: int = 0,
+    sweep: tuple[Pose2, Pose2] | None = None,
+) -> Cloud:
+    """The same from points (beams, 2) in the lidar's frame, in the order of their beams, which
+    are ``step_rad`` apart; NaN where a beam returned nothing."""
+    every = len(points_m)
+    ranges = np.hypot(points_m[:, 0], points_m[:, 1])
+    with np.errstate(invalid="ignore"):
+        usable = (ranges >= params.range_min_m) & (ranges <= params.range_max_m)
     beams = np.flatnonzero(usable)
-    hits = ranges[beams]
-    points = hits[:, None] * np.stack([np.cos(angles[beams]), np.sin(angles[beams])], axis=1)
-    points = base_from_lidar @ points
+    ranges = np.where(usable, ranges, np.nan)
+    points = base_from_lidar @ points_m[beams]
     origins = np.broadcast_to(base_from_lidar.translation, points.shape)
-    if sweep is not None and len(ranges) > 1:
-        fraction = (beams / (len(ranges) - 1))[:, None]
+    if sweep is not None and every > 1:
+        fraction = (beams / (every - 1))[:, None]
         points, origins = _deskew(points, fraction, sweep), _deskew(origins, fraction, sweep)
     if not len(beams):
+        nothing = np.empty(0)
         return Cloud(
-            stamp_ns=scan.mid_stamp_ns, points_m=points, normals=points, origins_m=origins,
-            weights=hits, sigma_m=0.0, across_m=0.0,
+            stamp_ns=stamp_ns, points_m=points, normals=points, origins_m=origins,
+            weights=nothing, sigma_m=0.0, across_m=0.0,
         )  # fmt: skip
     # Neighbours are counted in beams, so that a gap of missing returns separates surfaces.
-    spread = np.full((len(ranges), 2), np.nan)
+    spread = np.full((every, 2), np.nan)
     spread[beams] = points
-    spacing = np.where(usable, ranges, 0.0) * abs(scan.angle_step_rad)
-    bends = _bends(np.where(usable, ranges, np.nan), scan.angle_step_rad)
+    spacing = np.where(usable, ranges, 0.0) * abs(step_rad)
+    bends = _bends(ranges, step_rad)
     sigma_m = _spread(bends)
     normals, count = _surface(spread, spacing, sigma_m, params)
     normals, count = normals[beams], count[beams]
@@ -192,14 +217,14 @@ def cloud_from_scan(
     sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-9)
     facing = np.sum(normals * sight, axis=1)
     normals = normals * np.where(facing < 0.0, -1.0, 1.0)[:, None]
-    steepness = np.full(len(ranges), np.nan)
+    steepness = np.full(every, np.nan)
     steepness[beams] = np.abs(facing)
     straight = np.abs(facing) >= math.sin(math.radians(params.grazing_deg))
     known = (count >= 4) & straight
     # An isolated return (mixed pixel, dust) has no neighbour at all: count includes itself.
     keep = (count >= 2) & (straight | (count < 4))
     return Cloud(
-        stamp_ns=scan.mid_stamp_ns,
+        stamp_ns=stamp_ns,
         points_m=points[keep],
         normals=np.where(known[:, None], normals, 0.0)[keep],
         origins_m=origins[keep],

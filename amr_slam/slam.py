@@ -90,12 +90,14 @@ def slam_absolute_rungs(
     h_x = rdnm.of_scan(X.points_m, params.rdnm)
     rough = rdnm.rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
     rough = np.concatenate([known, rough[:, :3]])
-    yield refine_and_decide(X, target, rough, params, Rung.ABSOLUTE)
+    answer = refine_and_decide(X, target, rough, params, Rung.ABSOLUTE)
+    yield answer
 
     if params.exhaustive.candidates:
+        found = poses_of([place.pose for place in answer.places])
         places = Y.places(params.exhaustive.spacing_m, params.robot_radius_m)
         more = field.search(X, Y.field(params.exhaustive), places, params.exhaustive)
-        rough = np.concatenate([rough, more[:, :3]])
+        rough = np.concatenate([found, more[:, :3]])
         yield refine_and_decide(X, target, rough, params, Rung.EXHAUSTIVE)
 
 

@@ -89,10 +89,20 @@ def search(source: Cloud, field: Field, places_m: Array, params: FieldParams) ->
     for count, share in ((params.first_points, 0.1), (params.points, 0.0)):
         total = _mean(source, field, params, count, row[place], column[place], heading)
         keep = max(round(share * len(total)), params.candidates)
-        best = np.argsort(-total, kind="stable")[:keep]
+        best = _largest(total, keep)
         place, heading, total = place[best], heading[best], total[best]
     theta = heading * (math.tau / params.headings)
     return np.column_stack([places_m[place], theta, total])
+
+
+def _largest(values: NDArray[np.float32], most: int) -> NDArray[np.intp]:
+    """Rows of the ``most`` largest values, largest first, equal ones in their order."""
+    if len(values) > most:
+        bar = np.partition(values, len(values) - most)[len(values) - most]
+        rows = np.flatnonzero(values >= bar)
+    else:
+        rows = np.arange(len(values))
+    return rows[np.argsort(-values[rows], kind="stable")][:most]
 
 
 def _mean(

@@ -360,28 +360,28 @@ def match_signatures(
     """
     m, s = places.shape[0], places.shape[1] // 2
     costs = np.zeros((m, s), dtype=np.float32)
-    count = np.float32(sections.shape[0])
     for j in range(m):
+        out = costs[j]
         for k in range(sections.shape[0]):
             mine = ranges[k]
+            # A slice starts anywhere without a test in the inner loop, which is so vectorised.
+            turned = places[j, sections[k] : sections[k] + s]
             for r in range(s):
-                theirs = places[j, sections[k] + r]
-                off = mine - theirs
-                cost = min(off, longer) if off >= np.float32(0.0) else min(-off, shorter)
-                costs[j, r] += unseen if theirs < np.float32(0.0) else cost
-        for r in range(s):
-            costs[j, r] /= count
+                theirs = turned[r]
+                cost = abs(min(max(mine - theirs, -shorter), longer))
+                out[r] += unseen if theirs < np.float32(0.0) else cost
+    costs /= np.float32(sections.shape[0])
     return costs
 
 
 @jit
 def sum_field(
-    offsets: NDArray[np.int32],
-    layers: NDArray[np.int32],
+    offsets: Index,
+    layers: Index,
     values: NDArray[np.float32],
-    rows: NDArray[np.int32],
-    columns: NDArray[np.int32],
-    headings: NDArray[np.int32],
+    rows: Index,
+    columns: Index,
+    headings: Index,
 ) -> NDArray[np.float32]:
     """(m,) sum of the field's values under a scan's points at each of m places and headings.
 
@@ -390,14 +390,16 @@ def sum_field(
     hypotheses stand in cells ``rows``, ``columns`` with heading number ``headings``.
     """
     ny, nx = values.shape[1], values.shape[2]
+    flat = values.ravel()
     out = np.zeros(rows.shape[0], dtype=np.float32)
     for j in range(rows.shape[0]):
         h = headings[j]
         total = np.float32(0.0)
         for i in range(offsets.shape[1]):
-            iy = rows[j] + offsets[h, i, 0]
-            ix = columns[j] + offsets[h, i, 1]
-            if iy >= 0 and ix >= 0 and iy < ny and ix < nx:
-                total += values[layers[h, i], iy, ix]
+            # Unsigned: what is left of or above the field is far right of or below it, too.
+            iy = np.uint32(rows[j] + offsets[h, i, 0])
+            ix = np.uint32(columns[j] + offsets[h, i, 1])
+            if iy < ny and ix < nx:
+                total += flat[(np.uint32(layers[h, i]) * np.uint32(ny) + iy) * np.uint32(nx) + ix]
         out[j] = total
     return out
