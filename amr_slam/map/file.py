@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from amr_slam.geometry import Pose2
 from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.rays import Rays, nothing
 
 MAGIC = b"AMRMAP\r\n"
-VERSION = 1
+VERSION = 2
 MAX_FILE_BYTES = 512 * 2**20
 MAX_CONTENT_BYTES = 2 * 2**30
 _MAX_HEADER_BYTES = 2**20
@@ -33,7 +34,7 @@ _DIGEST_BYTES = 32
 _NAMESPACE = uuid.UUID("6f1c1f5e-5d0b-4c3b-9c0e-2a4f6a3b7d10")
 
 # Arrays of version 1, in the file's order: name -> (dtype, columns; 0 = one-dimensional).
-_ARRAYS = {
+_ARRAYS_1 = {
     "wall_keys": ("<i8", 0),
     "wall_sums": ("<f8", 7),
     "space_keys": ("<i8", 0),
@@ -42,6 +43,19 @@ _ARRAYS = {
     "path_poses": ("<f8", 3),
     "path_noises_m": ("<f8", 0),
 }
+_ARRAYS = _ARRAYS_1 | {
+    "wall_sums": ("<f8", 8),
+    "ray_counts": ("<i8", 0),
+    "ray_quanta_m": ("<f8", 0),
+    "ray_across_m": ("<f8", 0),
+    "ray_ends": ("<i2", 2),
+    "ray_origins": ("<i2", 2),
+    "ray_normals": ("<i2", 0),
+    "ray_weights": ("<u1", 0),
+}
+# Walls are met at about 45 degrees: noise across them over noise along the beam.
+_TYPICAL_ACROSS = 0.7
+_LAYOUTS = {1: _ARRAYS_1, VERSION: _ARRAYS}
 
 
 class MapError(Exception):
@@ -93,7 +107,8 @@ def _rotate(path: Path, keep: int) -> None:
 
 def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
     """The file's bytes and the map's UUID."""
-    arrays = {
+    none = nothing(0.0)
+    arrays: dict[str, NDArray[Any]] = {
         "wall_keys": grown.walls.keys,
         "wall_sums": grown.walls.sums,
         "space_keys": grown.space.keys,
@@ -101,6 +116,13 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
         "path_stamps_ns": np.array([stamp for stamp, _ in grown.path], dtype=np.int64),
         "path_poses": np.array([pose.as_array() for _, pose in grown.path]).reshape(-1, 3),
         "path_noises_m": np.array(grown.noises_m, dtype=np.float64),
+        "ray_counts": np.array([len(rays) for rays in grown.rays], dtype=np.int64),
+        "ray_quanta_m": np.array([rays.quantum_m for rays in grown.rays], dtype=np.float64),
+        "ray_across_m": np.array([rays.across_m for rays in grown.rays], dtype=np.float64),
+        "ray_ends": np.concatenate([none.ends, *(rays.ends for rays in grown.rays)]),
+        "ray_origins": np.concatenate([none.origins, *(rays.origins for rays in grown.rays)]),
+        "ray_normals": np.concatenate([none.normals, *(rays.normals for rays in grown.rays)]),
+        "ray_weights": np.concatenate([none.weights, *(rays.weights for rays in grown.rays)]),
     }
     content = b"".join(
         np.ascontiguousarray(array, dtype=_ARRAYS[name][0]).tobytes()
@@ -143,9 +165,10 @@ def decode(data: bytes) -> tuple[PointMap, uuid.UUID]:
         raise MapError("the file is cut short; use an older version (NAME.amrmap.1)")
     body, digest = data[:-_DIGEST_BYTES], data[-_DIGEST_BYTES:]
     header = _header(body, start)
-    if header.get("version") != VERSION:
+    version = header.get("version")
+    if not isinstance(version, int) or version not in _LAYOUTS:
         raise MapError(
-            f"map format version {header.get('version')!r}, this program reads {VERSION}: "
+            f"map format version {version!r}, this program reads 1 to {VERSION}: "
             "use the amr-slam that wrote it, or a newer one"
         )
     if hashlib.sha256(body).digest() != digest:
@@ -171,10 +194,11 @@ def _header(body: bytes, start: int) -> dict[str, Any]:
 
 def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, uuid.UUID]:
     (length,) = _LENGTH.unpack_from(body, len(MAGIC))
-    rows = {name: int(header["rows"][name]) for name in _ARRAYS}
+    layout = _LAYOUTS[header["version"]]
+    rows = {name: int(header["rows"][name]) for name in layout}
     sizes = {
         name: rows[name] * np.dtype(dtype).itemsize * max(columns, 1)
-        for name, (dtype, columns) in _ARRAYS.items()
+        for name, (dtype, columns) in layout.items()
     }
     total = sum(sizes.values())
     if min(rows.values()) < 0 or total > MAX_CONTENT_BYTES:
@@ -188,13 +212,28 @@ def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, u
         raise MapError("the file is damaged (content length); use an older version")
     arrays: dict[str, NDArray[Any]] = {}
     offset = 0
-    for name, (dtype, columns) in _ARRAYS.items():
+    for name, (dtype, columns) in layout.items():
         flat = np.frombuffer(content, dtype, sizes[name] // np.dtype(dtype).itemsize, offset)
         arrays[name] = flat.reshape(-1, columns).copy() if columns else flat.copy()
         offset += sizes[name]
+    if header["version"] == 1:
+        _upgrade(arrays)
     grown = PointMap(_params(header["params"]), str(header["name"]))
     _fill(grown, arrays)
     return grown, uuid.UUID(str(header["uuid"]))
+
+
+def _upgrade(arrays: dict[str, NDArray[Any]]) -> None:
+    """Version 1 kept neither the number of points in a cell nor rays: their weight stands for
+    the number, and there is nothing to rebuild the map from."""
+    walls, scans = arrays["wall_sums"], len(arrays["path_poses"])
+    arrays["wall_sums"] = np.hstack([walls, walls[:, :1]])
+    none = nothing(0.0)
+    arrays["ray_counts"] = np.zeros(scans, dtype=np.int64)
+    arrays["ray_quanta_m"] = np.full(scans, none.quantum_m)
+    arrays["ray_across_m"] = _TYPICAL_ACROSS * arrays["path_noises_m"]
+    arrays["ray_ends"], arrays["ray_origins"] = none.ends, none.origins
+    arrays["ray_normals"], arrays["ray_weights"] = none.normals, none.weights
 
 
 def _params(raw: dict[str, Any]) -> MapParams:
@@ -208,11 +247,11 @@ def _params(raw: dict[str, Any]) -> MapParams:
 
 
 def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
-    for name in ("wall_sums", "space_sums", "path_poses", "path_noises_m"):
+    for name in (name for name, (dtype, _) in _ARRAYS.items() if dtype == "<f8"):
         if not np.all(np.isfinite(arrays[name])):
             raise ValueError(f"{name} holds numbers that are not finite")
     walls = arrays["wall_sums"]
-    if np.any(walls[:, 0] <= 0.0):
+    if np.any(walls[:, (0, 7)] <= 0.0):
         raise ValueError("wall cells without a point")
     # Raises ValueError itself: such points would stop the first search instead of the loading.
     grown.space.keys_of(walls[:, 1:3] / walls[:, :1])
@@ -231,4 +270,30 @@ def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
         for stamp, pose in zip(arrays["path_stamps_ns"], arrays["path_poses"], strict=True)
     ]
     grown.noises_m = [float(noise) for noise in arrays["path_noises_m"]]
+    grown.rays = _rays(arrays)
     grown.revision = 1
+
+
+def _rays(arrays: dict[str, NDArray[Any]]) -> list[Rays]:
+    counts, quanta_m = arrays["ray_counts"], arrays["ray_quanta_m"]
+    names = ("ray_ends", "ray_origins", "ray_normals", "ray_weights")
+    total = int(counts.sum())
+    across_m = arrays["ray_across_m"]
+    if not len(counts) == len(quanta_m) == len(across_m) == len(arrays["path_poses"]):
+        raise ValueError("the path and its scans' rays differ in number")
+    if np.any(counts < 0) or any(len(arrays[name]) != total for name in names):
+        raise ValueError("the rays do not add up")
+    if not np.all((quanta_m > 0.0) & (quanta_m < 1e3)):
+        raise ValueError("rays are measured in parts of nothing")
+    ends = np.cumsum(counts)
+    return [
+        Rays(
+            quantum_m=float(quantum_m),
+            across_m=float(noise),
+            ends=arrays["ray_ends"][end - count : end],
+            origins=arrays["ray_origins"][end - count : end],
+            normals=arrays["ray_normals"][end - count : end],
+            weights=arrays["ray_weights"][end - count : end],
+        )
+        for quantum_m, noise, count, end in zip(quanta_m, across_m, counts, ends, strict=True)
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -12,8 +13,9 @@ from numpy.typing import NDArray
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
+from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
-from amr_slam.map.thinning import thin_walls
+from amr_slam.map.rays import Rays, forget, pack
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
 from amr_slam.registration.field import Field, FieldParams
@@ -32,8 +34,8 @@ class MapParams:
     """A ray is evidence of free space only up to this much before its end."""
     vanish_ratio: Annotated[float, Gt(0.0)] = 4.0
     """A point whose cell was passed this many times as often as hit is taken for gone."""
-    noisy_m: Annotated[float, Gt(0.0)] = 0.075
-    """Scans noisier than this (one and a half cells) leave bands, not lines: walls are thinned."""
+    noisy_m: Annotated[float, Gt(0.0)] = 0.02
+    """Scans noisier than this leave bands, not lines: walls are thinned."""
     thin: bool = True
     """False keeps the band (the paper's union of scans)."""
 
@@ -52,8 +54,9 @@ class Known:
 _NEAR_M = 3.0
 # Points this near to a wall lie in a known place.
 _REACH_M = 0.3
-# Sums over a cell's points: weight; by weight x, y, cos 2phi, sin 2phi of the normal, sight x, y.
-_CHANNELS = 7
+# Sums over a cell's points: weight; by weight x, y, cos 2phi, sin 2phi of the normal, sight x, y;
+# number.
+_CHANNELS = 8
 _SIGHT_M = 25.0
 
 
@@ -74,10 +77,15 @@ class PointMap:
         """(stamp ns, map_from_base) of each scan that the map is made of."""
         self.noises_m: list[float] = []
         """Noise of each of these scans."""
+        self.rays: list[Rays] = []
+        """What each of these scans saw; nothing where it was forgotten for the memory's sake."""
         self.revision = 0
         """+1 with each insertion: what is derived from the map is valid for one revision."""
+        self._deconvolution: Deconvolution | None = None
+        self._changed: tuple[Array, Array] | None = None  # corners of what it does not know yet
+        self._latest: tuple[int, Target] | None = None
         self._whole: tuple[int, Target] | None = None
-        self._places: tuple[int, float, float, Array] | None = None
+        self._places: dict[tuple[float, float], tuple[int, Array]] = {}
         self._signatures: tuple[int, RdnmParams, Array, Array] | None = None
         self._field: tuple[int, FieldParams, Field] | None = None
 
@@ -110,11 +118,31 @@ class PointMap:
         # A near look at a wall outweighs a far one: its place and direction are known better.
         reach = np.linalg.norm(points - origins, axis=1)
         values *= np.clip((_NEAR_M / np.maximum(reach, 1e-3)) ** 2, 0.02, 1.0)[:, None]
+        # ... but the noise of a point is the same at any distance.
+        values = np.hstack([values, np.ones((len(points), 1))])
         self.walls.add(self.walls.keys_of(points), values)
         self._carve(points, origins, cloud.sigma_m)
+        if len(points):
+            low, high = self._changed or (points.min(axis=0), points.max(axis=0))
+            self._changed = (
+                np.minimum(low, points.min(axis=0)),
+                np.maximum(high, points.max(axis=0)),
+            )
         self.path.append((cloud.stamp_ns, map_from_base))
         self.noises_m.append(cloud.sigma_m)
+        self.rays.append(pack(cloud))
+        forget(self.rays, [pose for _, pose in self.path], self.area_m2())
         self.revision += 1
+
+    def rebuilt(self, poses: Sequence[Pose2]) -> PointMap:
+        """A map of the scans that are not forgotten, each at its new pose: one for each scan of
+        ``path``, in its order."""
+        fresh = PointMap(self.params, self.name)
+        scans = zip(self.path, self.noises_m, self.rays, poses, strict=True)
+        for (stamp_ns, _), sigma_m, rays, pose in scans:
+            if len(rays):
+                fresh.insert(rays.cloud(stamp_ns, sigma_m), pose)
+        return fresh
 
     def _carve(self, points: Array, origins: Array, sigma_m: float) -> None:
         """Count the cells that this scan's rays passed through, and those in which they ended."""
@@ -140,26 +168,68 @@ class PointMap:
         """Noise of the scans that the map is made of: their median, as clutter looks like noise."""
         return float(np.median(self.noises_m)) if self.noises_m else 0.0
 
+    @property
+    def across_m(self) -> float:
+        """Noise of these scans' points across the walls: their median too."""
+        return float(np.median([rays.across_m for rays in self.rays])) if self.rays else 0.0
+
     def target(self, centre: Pose2 | None = None, radius_m: float = _SIGHT_M) -> Target:
-        """The wall points (all, or within ``radius_m`` of a pose) to register against."""
-        noisy = self.params.thin and self.sigma_m > self.params.noisy_m
-        if centre is None or noisy:
-            whole = self._whole_target()
-            if centre is None:
-                return whole
-            near = _near(whole.points_m, centre, radius_m)
-            walls = replace(whole, points_m=whole.points_m[near], normals=whole.normals[near])
+        """The wall points (all, or within ``radius_m`` of a pose) to register against.
+
+        All of them come settled; near a pose, the walls of noisy scans are as good as the last
+        scan left them, so that each scan costs little.
+        """
+        if centre is None:
+            return self._whole_target()
+        if self._thins():
+            latest = self._latest_target()
+            near = _near(latest.points_m, centre, radius_m)
+            walls = replace(latest, points_m=latest.points_m[near], normals=latest.normals[near])
         else:
             near = _near(self.walls.centres(), centre, radius_m)
-            walls = self._target_of(np.flatnonzero(near))
+            walls = self._plain(np.flatnonzero(near))
         free = self._free_cells()
         return self._in_space(walls, free[_near(free, centre, radius_m)])
 
+    def _thins(self) -> bool:
+        """Whether walls are lines found in bands (noisy scans), or the cells' mean points."""
+        return self.params.thin and self.sigma_m > self.params.noisy_m
+
     def _whole_target(self) -> Target:
         if self._whole is None or self._whole[0] != self.revision:
-            walls = self._target_of(np.arange(len(self.walls)))
+            walls = self._settled() if self._thins() else self._plain(np.arange(len(self.walls)))
             self._whole = (self.revision, self._in_space(walls, self._free_cells()))
         return self._whole[1]
+
+    def _latest_target(self) -> Target:
+        """All walls, at the cost of one scan where :meth:`_whole_target` settles them anew."""
+        for known in (self._whole, self._latest):
+            if known is not None and known[0] == self.revision:
+                return known[1]
+        if self._deconvolution is None or not self._thins():
+            return self._whole_target()
+        if self._changed is not None and self._deconvolution.fits(self.walls, self.across_m):
+            ridges = self._deconvolution.follow(self.walls, self.across_m, *self._changed)
+            self._changed = None
+            walls = self._in_space(self._lines(ridges), self._free_cells())
+        else:
+            walls = self._whole_target()
+        self._latest = (self.revision, walls)
+        return walls
+
+    def _settled(self) -> Target:
+        deconvolution = Deconvolution(self.params.cell_m)
+        if not deconvolution.fits(self.walls, self.across_m):
+            return self._plain(np.arange(len(self.walls)))
+        ridges = deconvolution.settle(self.walls, self.across_m)
+        self._deconvolution, self._changed = deconvolution, None
+        return self._lines(ridges)
+
+    def _lines(self, ridges: Array) -> Target:
+        here = ~self._vanished(ridges[:, :2])
+        return Target(
+            points_m=ridges[here, :2], normals=ridges[here, 2:], spacing_m=self.params.cell_m
+        )
 
     def _free_cells(self) -> Array:
         """Centres (k, 2) of the cells that more rays passed than ended in."""
@@ -168,17 +238,13 @@ class PointMap:
     def _in_space(self, walls: Target, free_m: Array) -> Target:
         return replace(walls, sigma_m=self.sigma_m, free_m=free_m, cell_m=self.space.cell_m)
 
-    def _target_of(self, rows: NDArray[np.intp]) -> Target:
-        rows = rows[~self._vanished(rows)]
+    def _plain(self, rows: NDArray[np.intp]) -> Target:
+        """The mean points of these wall cells."""
         sums = self.walls.sums[rows]
         count = np.maximum(sums[:, 0:1], 1e-9)
         points = sums[:, 1:3] / count
-        sigma = self.sigma_m
-        if self.params.thin and sigma > self.params.noisy_m:
-            points, normals = thin_walls(
-                points, count[:, 0], sums[:, 5:7], sigma, self.params.cell_m
-            )
-            return Target(points_m=points, normals=normals, spacing_m=self.params.cell_m)
+        here = ~self._vanished(points)
+        sums, count, points = sums[here], count[here], points[here]
         direction = 0.5 * np.arctan2(sums[:, 4], sums[:, 3])
         # Cells in which the directions disagree (corners, clutter) have no normal.
         agreed = np.hypot(sums[:, 3], sums[:, 4]) > 0.4 * count[:, 0]
@@ -190,10 +256,9 @@ class PointMap:
             spacing_m=self.params.cell_m,
         )
 
-    def _vanished(self, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Which wall cells later scans looked through: people, opened doors."""
-        centres = self.walls.sums[rows, 1:3] / np.maximum(self.walls.sums[rows, 0:1], 1e-9)
-        cell = self.space.find(self.space.keys_of(centres))
+    def _vanished(self, points: Array) -> NDArray[np.bool_]:
+        """Which wall points (n, 2) later scans looked through: people, opened doors."""
+        cell = self.space.find(self.space.keys_of(points))
         passed = np.where(cell >= 0, self.space.sums[cell, 0], 0.0)
         ended = np.where(cell >= 0, self.space.sums[cell, 1], 0.0)
         return np.asarray(passed > self.params.vanish_ratio * np.maximum(ended, 1.0))
@@ -216,11 +281,11 @@ class PointMap:
 
         Algorithm 2, line 3, with "points removed where the AMR would not fit".
         """
-        cached = self._places
-        if cached is None or cached[:3] != (self.revision, spacing_m, robot_radius_m):
-            found = self._find_places(spacing_m, robot_radius_m)
-            cached = self._places = (self.revision, spacing_m, robot_radius_m, found)
-        return cached[3]
+        cached = self._places.get((spacing_m, robot_radius_m))
+        if cached is None or cached[0] != self.revision:
+            cached = self.revision, self._find_places(spacing_m, robot_radius_m)
+            self._places[spacing_m, robot_radius_m] = cached
+        return cached[1]
 
     def _find_places(self, spacing_m: float, robot_radius_m: float) -> Array:
         cells = self._free_cells()
@@ -231,7 +296,7 @@ class PointMap:
         # A grid cell counts where a fair part of its area was seen free.
         enough = 0.3 * (spacing_m / self.space.cell_m) ** 2
         centres = grid.centres()[grid.sums[:, 0] >= enough]
-        walls = self._whole_target()
+        walls = self._latest_target()
         if len(walls):
             clearance = np.asarray(
                 walls.tree.query(centres, distance_upper_bound=robot_radius_m)[0]

@@ -23,7 +23,7 @@ from amr_slam.clouds import CloudParams, cloud_from_scan
 from amr_slam.geometry import Pose2
 from amr_slam.map import MapParams, PointMap
 from amr_slam.registration.error import nearest
-from amr_slam.registration.rdnm import RdnmParams, rdn
+from amr_slam.registration.rdnm import RdnmParams, of_map
 from amr_slam.simulation import World, take_scan
 
 HERE = Pose2(3.0, 2.2, 0.3)
@@ -145,9 +145,7 @@ def test_what_is_derived_follows_the_map() -> None:
     assert len(grown.target()) > len(target)
     places, h = grown.signatures(0.5, 0.3, params)
     assert h is not h_before
-    np.testing.assert_array_equal(
-        h, rdn(grown.target().points_m, places, grown.target().spacing_m, params)
-    )
+    np.testing.assert_array_equal(h, of_map(grown.target(), places, params))
 
 
 def test_a_part_of_the_map_is_that_part() -> None:
