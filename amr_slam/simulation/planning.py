@@ -37,6 +37,11 @@ class ShortPlanner:
         self._cells = np.flatnonzero(passable & (label == largest))
         self._graph = graph
 
+    @property
+    def area_m2(self) -> float:
+        """Of the largest connected part of the cells with the needed clearance."""
+        return len(self._cells) * self._grid.cell_m**2
+
     def closed_path(self, length_m: float) -> Array:
         """(n, 2) through the places furthest from each other, as many as the length takes."""
         clearance = self._grid.clearance_m.ravel()

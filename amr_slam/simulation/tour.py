@@ -29,6 +29,9 @@ _SHOWN_M = 12.0
 _MARGIN_M = 0.15
 # The same where doors leave no more: 0.95 m wide, for a hull of 0.7 m.
 _DOOR_MARGIN_M = 0.07
+# A short round must keep the wider margin on this share of what the narrower one reaches:
+# laboratories have 0.9.
+_REACHED_SHARE = 0.8
 _LOOKAHEAD_M = 0.4
 # Beyond this angle to its aim the robot turns on the spot.
 _TURN_ON_SPOT_RAD = 0.8
@@ -73,8 +76,11 @@ def plan_tour(world: World, radius_m: float = 0.35) -> Tour:
 def _short_round(world: World, grid: ClearanceGrid, radius_m: float) -> Array | None:
     """None where there is no room for it or it leaves too much out."""
     try:
-        path = ShortPlanner(grid, radius_m + _MARGIN_M).closed_path(_LENGTH_M)
+        planner = ShortPlanner(grid, radius_m + _MARGIN_M)
+        path = planner.closed_path(_LENGTH_M)
     except ValueError:
+        return None
+    if planner.area_m2 < _REACHED_SHARE * ShortPlanner(grid, radius_m + _DOOR_MARGIN_M).area_m2:
         return None
     floor = grid.clearance_m > radius_m
     shown = _seen(world, grid, path[:: round(1.0 / STEP_M)])
