@@ -13,11 +13,11 @@ from matplotlib.figure import Figure
 from amr_slam.map import PointMap
 from amr_slam.map.file import encode
 from amr_slam.params import preset
-from amr_slam.simulation import ScannerModel
+from amr_slam.simulation import SCANNERS, ScannerModel
 from amr_slam.studies.report import Effort, Picture, Section, Table
 from amr_slam.studies.scenes import S300, Scene
 from amr_slam.studies.trials import Circumstances, Trial, localize, milliseconds, success, verdicts
-from amr_slam.studies.worlds import AREAS_M2, SCANNERS, scene_of
+from amr_slam.studies.worlds import AREAS_M2, scene_of
 
 _TRIALS: Final = 100
 _NOISE_M: Final = 0.01

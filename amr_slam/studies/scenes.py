@@ -20,14 +20,20 @@ from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.samples import Scan
-from amr_slam.simulation import ScannerModel, World, laboratory, plan_tour, take_scan
+from amr_slam.simulation import (
+    COVERED,
+    ScannerModel,
+    World,
+    free_poses,
+    laboratory,
+    plan_tour,
+    take_scan,
+)
 
 S300: Final = ScannerModel(sweep_s=0.0)
 """One scanner in the middle of a standing robot: 541 beams over 270 degrees, whole centimetres."""
 MAPPING_SCANS: Final = 85
 """As many scans make the map as in the paper's section 3.1."""
-COVERED: Final = 0.85
-"""A pose is covered if more than this share of its beams ends on walls that the mapping saw."""
 ROBOT_RADIUS_M: Final = 0.35
 RIGHT_M: Final = 0.25
 RIGHT_RAD: Final = math.radians(5.0)
@@ -35,6 +41,7 @@ RIGHT_RAD: Final = math.radians(5.0)
 # A beam's end this near to the end of a mapping beam lies on a mapped wall. Mapping beams end up
 # to 0.13 m apart on a wall that is met squarely at 15 m.
 _MAPPED_M = 0.15
+_ROUNDS = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -74,17 +81,12 @@ class Scene:
     ) -> list[Pose2]:
         """Poses where the robot fits, evenly over the floor and all headings; only covered ones,
         or any. Raises ValueError where hardly any pose is covered."""
-        low, high = self.world.outline_m.min(axis=0), self.world.outline_m.max(axis=0)
         found: list[Pose2] = []
-        for _ in range(100):
-            points = rng.uniform(low, high, (4 * count + 64, 2))
-            points = points[self.world.clearance(points) >= ROBOT_RADIUS_M]
-            for x, y in points:
-                pose = Pose2(float(x), float(y), float(rng.uniform(-math.pi, math.pi)))
-                if not covered or self.coverage(pose, model) > COVERED:
-                    found.append(pose)
-                if len(found) == count:
-                    return found
+        for _ in range(_ROUNDS):
+            free = free_poses(self.world, rng, count, ROBOT_RADIUS_M)
+            found += [p for p in free if not covered or self.coverage(p, model) > COVERED]
+            if len(found) >= count:
+                return found[:count]
         raise ValueError(f"{self.kind} {self.world.seed}: hardly any pose is covered")
 
     def scan(self, model: ScannerModel, pose: Pose2, rng: np.random.Generator) -> Scan:
@@ -131,20 +133,6 @@ def along(path_m: Array, count: int) -> list[Pose2]:
         Pose2(float(x), float(y), math.atan2(dy, dx))
         for (x, y), (dx, dy) in zip(path_m[rows], step, strict=True)
     ]
-
-
-def blocked(scan: Scan, rng: np.random.Generator, share: float) -> Scan:
-    """``share`` of the beams end early, in bundles: on people and pallets that no map knows."""
-    ranges = np.array(scan.ranges_m)
-    free = np.ones(len(ranges), dtype=np.bool_)
-    while np.mean(~free) < share:
-        width = int(rng.integers(5, 30))
-        start = int(rng.integers(-width, len(ranges)))
-        bundle = slice(max(start, 0), min(start + width, len(ranges)))
-        distance_m = rng.uniform(0.4, 4.0)
-        ranges[bundle] = np.fmin(ranges[bundle], distance_m + rng.normal(0.0, 0.02))
-        free[bundle] = False
-    return replace(scan, ranges_m=ranges)
 
 
 def is_right(found: Pose2, truth: Pose2) -> bool:

@@ -19,8 +19,8 @@ from amr_slam.clouds import Cloud, cloud_from_scan
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
-from amr_slam.simulation import ScannerModel
-from amr_slam.studies.scenes import ROBOT_RADIUS_M, S300, Scene, blocked, is_right
+from amr_slam.simulation import ScannerModel, blocked
+from amr_slam.studies.scenes import ROBOT_RADIUS_M, S300, Scene, is_right
 from amr_slam.studies.trials import Circumstances, Trial, localize
 
 UNMAPPED: Final = 0.3
@@ -92,7 +92,7 @@ def disturbed(
     """The cloud seen from ``pose`` with as many beams blocked as the circumstances say."""
     scan = scene.scan(model, pose, rng)
     if under.blocked > 0.0:
-        scan = blocked(scan, rng, under.blocked)
+        scan = blocked(scan, rng, under.blocked, model.sigma_xy_m)
     return cloud_from_scan(scan, model.base_from_lidar, params.clouds)
 
 

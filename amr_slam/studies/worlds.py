@@ -1,19 +1,21 @@
-"""The kinds and sizes of worlds, and the scanners, over which cost and success are shown."""
+"""The kinds and sizes of worlds over which cost and success are shown."""
 
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Final
 
-from amr_slam.simulation import ScannerModel, World, plan_tour
-from amr_slam.simulation.buildings import offices
-from amr_slam.simulation.corridors import corridors
-from amr_slam.simulation.halls import hall
-from amr_slam.simulation.oblique import odd
-from amr_slam.simulation.symmetric import symmetric
+from amr_slam.simulation import (
+    ScannerModel,
+    World,
+    corridors,
+    hall,
+    odd,
+    offices,
+    plan_tour,
+    symmetric,
+)
 from amr_slam.studies.scenes import MAPPING_SCANS, S300, Scene, along
 
 KINDS: Final[dict[str, Callable[[int, float], World]]] = {
@@ -29,33 +31,6 @@ AREAS_M2: Final[dict[str, tuple[float, ...]]] = {
     "corridors": (200.0, 1000.0),
     "odd": (200.0, 1000.0),
     "symmetric": (200.0, 1000.0),
-}
-SCANNERS: Final = {
-    "270 deg, 541 beams, 30 m": replace(S300, sigma_range_m=0.01),
-    "270 deg, 811 beams, 25 m": replace(
-        S300,
-        beams=811,
-        angle_step_rad=math.radians(1.0 / 3.0),
-        range_max_m=25.0,
-        quantum_m=0.001,
-        sigma_range_m=0.015,
-    ),
-    "180 deg, 181 beams, 30 m": replace(
-        S300,
-        beams=181,
-        angle_min_rad=-0.5 * math.pi,
-        angle_step_rad=math.radians(1.0),
-        sigma_range_m=0.01,
-    ),
-    "360 deg, 360 beams, 12 m": replace(
-        S300,
-        beams=360,
-        angle_min_rad=-math.pi,
-        angle_step_rad=math.radians(1.0),
-        range_max_m=12.0,
-        quantum_m=0.001,
-        sigma_range_m=0.02,
-    ),
 }
 
 # Mapping scans in large worlds are this far apart on the way.

@@ -9,13 +9,12 @@ import pytest
 
 from amr_slam.geometry import Pose2
 from amr_slam.params import preset
+from amr_slam.simulation import COVERED
 from amr_slam.studies.scenes import (
-    COVERED,
     MAPPING_SCANS,
     RIGHT_RAD,
     ROBOT_RADIUS_M,
     S300,
-    blocked,
     is_right,
     laboratory_scene,
     with_noise,
@@ -64,16 +63,6 @@ def test_half_map_ends_at_its_cut() -> None:
     known = half_map(half, cut_x, S300, preset("default"), np.random.default_rng(1))
     assert len(known) > 0
     assert known.target().points_m[:, 0].max() < cut_x
-
-
-@pytest.mark.parametrize("share", [0.1, 0.4])
-def test_blocked_beams_are_shorter_and_as_many_as_asked(share: float) -> None:
-    scene = laboratory_scene(SEED)
-    scan = scene.scan(S300, scene.mapping[0], np.random.default_rng(1))
-    changed = blocked(scan, np.random.default_rng(2), share)
-    shorter = changed.ranges_m < scan.ranges_m - 1e-9
-    assert not np.any(changed.ranges_m > scan.ranges_m)
-    assert share - 0.15 < shorter.mean() <= share + 0.06
 
 
 def test_step_is_a_step_and_ends_where_there_is_room() -> None:
