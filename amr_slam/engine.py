@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from amr_slam.changes import Change, compare
 from amr_slam.clouds import Cloud
 from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, objection, unknown
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
@@ -59,6 +60,9 @@ class SlamResult:
     """The scan became part of the map."""
     map_scans: int
     map_points: int
+    change: Change | None = None
+    """Localization: the scan against the map at the answer's pose, or where nothing was accepted
+    at the best one near the expected pose."""
 
 
 class SlamEngine:
@@ -84,7 +88,15 @@ class SlamEngine:
             fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
             believed = prior is not None and _compatible(fix, prior)
         inserted = self.mode == "mapping" and self._grow(request, answer, believed=believed)
-        return self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
+        result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
+        return replace(result, change=self._compare(cloud, climbed[0] if fix is None else answer))
+
+    def _compare(self, cloud: Cloud, answer: Answer) -> Change | None:
+        """Of a growing map nothing can be said to have changed; nor of a place merely guessed."""
+        guessed = answer.verdict is not Verdict.ACCEPTED and answer.rung is not Rung.RELATIVE
+        if self.mode == "mapping" or answer.best is None or guessed:
+            return None
+        return compare(cloud, self.map.target(), answer.best.pose)
 
     def _climb(self, request: SlamRequest, prior: Prior | None) -> Iterator[Answer]:
         """One answer a rung, up to the first that ends the search."""

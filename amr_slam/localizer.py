@@ -10,19 +10,21 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated
+from typing import Final
 
 import numpy as np
-from annotated_types import Ge, Gt
 
-from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
+from amr_slam.agreement import AGREE_D2, agreement_d2, moved
+from amr_slam.clouds import CloudParams
 from amr_slam.engine import Mode, SlamRequest, SlamResult
-from amr_slam.evidence import Verdict
+from amr_slam.evidence import Answer, Rung, apart
 from amr_slam.fusion import FilterParams, PoseFilter, error95_m
-from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
+from amr_slam.geometry import Array, Pose2
+from amr_slam.hypotheses import Hypotheses
 from amr_slam.odometry import Odometry
+from amr_slam.pairing import Mounting, Pairing, end_ns
 from amr_slam.samples import (
+    Candidate,
     OdometrySample,
     Outcome,
     PoseEstimate,
@@ -31,48 +33,17 @@ from amr_slam.samples import (
     State,
     WheelSample,
 )
+from amr_slam.trust import LocalizerParams, fault_of, too_wide, whole_map
+
+__all__ = ["Localizer", "LocalizerParams", "Mounting", "Sample"]
 
 Sample = WheelSample | OdometrySample | Scan | SlamResult
 
 # Where nothing is known: wider than any hall, well inside what the filter can compute with.
 _ANYWHERE = np.diag([1e4**2, 1e4**2, math.pi**2])
-# Two poses agree when their squared Mahalanobis distance is below this (99.9 %, 3 dof).
-_AGREE_D2 = 16.27
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mounting:
-    """Where a scanner sits on the robot."""
-
-    base_from_lidar: Pose2
-    upside_down: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocalizerParams:
-    """When scans belong together, and when a pose is no longer worth driving by."""
-
-    pair_wait_s: Annotated[float, Ge(0.0)] = 0.15
-    """How long a scan waits for the other scanner's before it is registered alone."""
-    fresh_s: Annotated[float, Gt(0.0)] = 5.0
-    """A fix older than this (2.5 scan periods) is not fresh: odometry_only."""
-    lost_s: Annotated[float, Gt(0.0)] = 20.0
-    """Without a fix for this long: lost."""
-    lost_axis_m: Annotated[float, Gt(0.0)] = 1.5
-    """Three standard deviations along the error ellipse's major axis above this: lost."""
-    lost_refusals: Annotated[int, Ge(1)] = 5
-    """This many scans in a row without an accepted pose: lost."""
-    agreeing_relocalizations: Annotated[int, Ge(1)] = 2
-    """Agreeing solutions of the absolute strategy before the pose jumps to them."""
-    agreeing_refusals: Annotated[int, Ge(1)] = 3
-    """Refused fixes that agree with one another before the filter gives in."""
-    wheels_late_s: Annotated[float, Gt(0.0)] = 0.1
-    """Wheels silent for this long: said in the fault text."""
-    wheels_silent_s: Annotated[float, Gt(0.0)] = 0.5
-    """Wheels silent for this long: they no longer count, the robot may be anywhere it could
-    have driven to."""
-    wheels_lost_s: Annotated[float, Gt(0.0)] = 2.0
-    """Wheels silent for this long: lost."""
+_SHOWN: Final = 5
+"""Candidates that leave the robot, and the least odds that are worth telling."""
+_SHOWN_ODDS: Final = 0.01
 
 
 class Localizer:
@@ -92,9 +63,8 @@ class Localizer:
         in mapping mode, anywhere in localization mode."""
         self._params = params
         self._filter_params = filter_params
-        self._cloud_params = cloud_params
         self._odometry = odometry
-        self._mountings = dict(mountings)
+        self._pairing = Pairing(mountings, cloud_params, params.pair_wait_s)
         self._mode: Mode = mode
         if start is None and mode == "mapping":
             start = (Pose2.identity(), np.diag([1e-4, 1e-4, 1e-6]))
@@ -102,11 +72,10 @@ class Localizer:
         self._located = start is not None
         self._filter: PoseFilter | None = None
         self._wheels: WheelSample | OdometrySample | None = None
-        self._pending: dict[str, Scan] = {}
-        self._newest_scan_ns: dict[str, int] = {}
         self._request: SlamRequest | None = None
         self._busy = False
         self._agreeing: list[SlamPose] = []
+        self._hypotheses = Hypotheses(params.tracking)
         self._refusals = 0
         self._last_result: SlamResult | None = None
         self.outcomes: Counter[str] = Counter()
@@ -153,17 +122,13 @@ class Localizer:
         return self._filter.predict(motion)
 
     def _handle_scan(self, scan: Scan) -> Outcome:
-        if scan.scanner not in self._mountings:
-            return Outcome.INVALID
-        newest = self._newest_scan_ns.get(scan.scanner)
-        if newest is not None and scan.stamp_ns <= newest:
-            return Outcome.DUPLICATE if scan.stamp_ns == newest else Outcome.LATE
-        self._newest_scan_ns[scan.scanner] = scan.stamp_ns
+        outcome = self._pairing.check(scan)
+        if outcome is not Outcome.ACCEPTED:
+            return outcome
         if self._filter is None:
             return Outcome.FUTURE
-        self._bridge_silence(_end_ns(scan))
-        # Newest wins: an unregistered scan of this scanner is not worth waiting for.
-        self._pending[scan.scanner] = scan
+        self._bridge_silence(end_ns(scan))
+        self._pairing.keep(scan)
         return Outcome.ACCEPTED
 
     def _bridge_silence(self, until_ns: int) -> None:
@@ -176,21 +141,74 @@ class Localizer:
     def _handle_result(self, result: SlamResult) -> Outcome:
         self._busy = False
         self._last_result = result
-        if result.fix is None or self._filter is None:
-            founding = result.inserted
-            self._refusals = 0 if founding else self._refusals + 1
-            return Outcome.ACCEPTED if founding else Outcome.UNKNOWN
-        outcome = Outcome.GATED
-        if self._located:
-            outcome = self._filter.correct(result.fix)
-        if outcome is Outcome.GATED:
-            outcome = self._consider_jump(result.fix)
+        if self._filter is None:
+            return Outcome.UNKNOWN
+        if result.fix is None and result.inserted:
+            self._refusals = 0
+            return Outcome.ACCEPTED
+        outcome = self._take_in(result, whole_map(result), result.fix)
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             self._refusals = 0
             self._agreeing.clear()
-        else:
+            self._hypotheses.clear()
+        elif outcome is not Outcome.UNKNOWN or not self._fits_where_expected(result):
             self._refusals += 1
         return outcome
+
+    def _take_in(
+        self, result: SlamResult, whole_map: Answer | None, fix: SlamPose | None
+    ) -> Outcome:
+        """A fix near the expected pose is the fusion's; what a search of the whole map found must
+        first be the only place left, unless the fusion's own pose agrees with it."""
+        assert self._filter is not None
+        from_whole_map = whole_map is not None and result.answer is whole_map
+        outcome = Outcome.UNKNOWN if fix is None else Outcome.GATED
+        if fix is not None and self._located and not (from_whole_map and self._adrift(fix)):
+            outcome = self._filter.correct(fix)
+        if outcome not in {Outcome.UNKNOWN, Outcome.GATED}:
+            return outcome
+        if whole_map is not None:
+            jumped = self._weigh(result.stamp_ns, whole_map)
+            outcome = jumped or outcome
+        if fix is not None and not from_whole_map and outcome is Outcome.GATED:
+            outcome = self._consider_jump(fix)
+        return outcome
+
+    def _adrift(self, fix: SlamPose) -> bool:
+        """Whether the fusion knows so little that agreeing with it proves nothing."""
+        assert self._filter is not None
+        expected = self._filter.pose_at(fix.stamp_ns)
+        return expected is not None and too_wide(expected[1], self._params)
+
+    def _weigh(self, stamp_ns: int, answer: Answer) -> Outcome | None:
+        """Weigh the places found in the whole map; jump to one when no other is left."""
+        assert self._filter is not None
+        expected = self._filter.pose_at(stamp_ns)
+        if expected is None:
+            return None
+        if self._located and not len(self._hypotheses) and not too_wide(expected[1], self._params):
+            self._hypotheses.expect(stamp_ns, *expected)
+        self._hypotheses.weigh(stamp_ns, answer, self._filter.motion_between)
+        unique = self._hypotheses.unique()
+        if unique is None or too_wide(unique[1], self._params):
+            return None
+        outcome = self._filter.reset(stamp_ns, *unique)
+        self._located = self._located or outcome is Outcome.RESET
+        return outcome
+
+    def _fits_where_expected(self, result: SlamResult) -> bool:
+        """Whether a scan that was not accepted still lies for the most part on the walls around
+        the expected pose: then the place has changed, and the robot is not lost."""
+        near, change = result.climbed[0], result.change
+        if not self._located or self._filter is None or near.best is None or change is None:
+            return False
+        expected = self._filter.pose_at(result.stamp_ns)
+        return (
+            near.rung is Rung.RELATIVE
+            and expected is not None
+            and change.explained >= self._params.explained_share
+            and not apart(expected[0], near.best.pose)
+        )
 
     def _consider_jump(self, fix: SlamPose) -> Outcome:
         """A fix that contradicts the estimate: jump once enough of them agree."""
@@ -200,15 +218,11 @@ class Localizer:
         self._agreeing.append(fix)
         independent = all(refused.relocalized for refused in self._agreeing)
         needed = (
-            self._params.agreeing_relocalizations
-            if independent or not self._located
-            else self._params.agreeing_refusals
+            self._params.agreeing_relocalizations if independent else self._params.agreeing_refusals
         )
         if len(self._agreeing) < needed:
             return Outcome.GATED
-        outcome = self._filter.reset(fix.stamp_ns, fix.map_from_base, fix.covariance)
-        self._located = self._located or outcome is Outcome.RESET
-        return outcome
+        return self._filter.reset(fix.stamp_ns, fix.map_from_base, fix.covariance)
 
     def _agrees(self, earlier: SlamPose, later: SlamPose) -> bool:
         """Whether the wheels' motion carries one fix onto the other."""
@@ -216,61 +230,33 @@ class Localizer:
         motion = self._filter.motion_between(earlier.stamp_ns, later.stamp_ns)
         if motion is None:
             return False
-        expected = earlier.map_from_base @ motion.delta
-        difference = later.map_from_base.as_array() - expected.as_array()
-        difference[2] = wrap_angle(float(difference[2]))
-        turn = np.eye(3)
-        turn[:2, :2] = expected.rotation
-        spread = earlier.covariance + later.covariance + turn @ motion.covariance @ turn.T
-        return float(difference @ inverse_matrix(spread) @ difference) <= _AGREE_D2
+        expected, covariance = moved(earlier.map_from_base, earlier.covariance, motion)
+        spread = covariance + later.covariance
+        return agreement_d2(expected, later.map_from_base, spread) <= AGREE_D2
 
     # -- scans out to registration ---------------------------------------------------------
 
     def _prepare_request(self) -> None:
-        if self._busy or self._filter is None or not self._pending:
+        if self._busy or self._filter is None:
             return
-        now_ns = self._filter.stamp_ns
-        ready = {name: scan for name, scan in self._pending.items() if _end_ns(scan) <= now_ns}
-        if not ready:
+        scans = self._pairing.take(self._filter.stamp_ns)
+        if not scans:
             return
-        oldest_ns = min(_end_ns(scan) for scan in ready.values())
-        wait_ns = round(1e9 * self._params.pair_wait_s)
-        if len(ready) < len(self._mountings) and now_ns - oldest_ns < wait_ns:
+        cloud, late = self._pairing.merged(scans, self._filter)
+        if late:
+            self.outcomes["scan.late"] += late
+        prior = None if cloud is None else self._filter.pose_at(cloud.stamp_ns)
+        if cloud is None or prior is None:
             return
-        for name in ready:
-            del self._pending[name]
-        self._request = self._compose(list(ready.values()))
-        self._busy = self._request is not None
-
-    def _compose(self, scans: list[Scan]) -> SlamRequest | None:
-        """The scans as one cloud at the newest one's instant, with the fusion's prior there."""
-        assert self._filter is not None
-        stamp_ns = max(scan.mid_stamp_ns for scan in scans)
-        parts: list[tuple[Cloud, Pose2]] = []
-        for scan in sorted(scans, key=lambda scan: -scan.mid_stamp_ns):
-            to_scan = self._filter.motion_between(stamp_ns, scan.mid_stamp_ns)
-            first = self._filter.motion_between(scan.mid_stamp_ns, scan.stamp_ns)
-            last = self._filter.motion_between(scan.mid_stamp_ns, _end_ns(scan))
-            if to_scan is None or first is None or last is None:
-                self.outcomes["scan.late"] += 1
-                continue
-            mounting = self._mountings[scan.scanner]
-            cloud = cloud_from_scan(
-                scan,
-                mounting.base_from_lidar,
-                self._cloud_params,
-                upside_down=mounting.upside_down,
-                sweep=(first.delta, last.delta) if scan.sweep_s > 0.0 else None,
-            )
-            parts.append((cloud, to_scan.delta))
-        prior = self._filter.pose_at(stamp_ns)
-        if not parts or prior is None:
-            return None
-        return SlamRequest(
-            cloud=merge(parts),
+        if len(self._hypotheses):
+            self._hypotheses.carry(cloud.stamp_ns, self._filter.motion_between)
+        self._request = SlamRequest(
+            cloud=cloud,
             map_from_base=prior[0] if self._located else None,
             covariance=prior[1] if self._located else None,
+            also=self._hypotheses.poses(),
         )
+        self._busy = True
 
     # -- estimates out ---------------------------------------------------------------------
 
@@ -299,6 +285,8 @@ class Localizer:
             unseen = self._odometry.silence(fused.stamp_ns, now_ns)
             covariance = covariance + unseen.covariance
         since_fix_s = 1e-9 * (now_ns - self._filter.stamp_ns) + self._filter.since_fix_s
+        state = self._state(covariance, since_fix_s, wheel_age_s)
+        change = self._last_result.change if self._last_result is not None else None
         return PoseEstimate(
             stamp_ns=fused.stamp_ns,
             map_from_base=fused.map_from_base,
@@ -306,25 +294,40 @@ class Localizer:
             odom_from_base=fused.odom_from_base,
             vx_mps=fused.vx_mps,
             omega_radps=fused.omega_radps,
-            state=self._state(covariance, since_fix_s, wheel_age_s),
+            state=state,
             epoch=self._filter.epoch,
             error95_m=error95_m(covariance),
             since_fix_s=since_fix_s,
             since_fix_m=self._filter.since_fix_m,
             wheel_age_s=wheel_age_s,
-            fault=self._fault(wheel_age_s),
+            fault=fault_of(self._last_result, self._refusals, wheel_age_s, self._params),
+            candidates=self._candidates(fused.stamp_ns) if state is State.AMBIGUOUS else (),
+            explained=None if change is None else change.explained,
+        )
+
+    def _candidates(self, stamp_ns: int) -> tuple[Candidate, ...]:
+        """The places that are worth telling, moved on by the wheels."""
+        assert self._filter is not None
+        found_ns = self._hypotheses.stamp_ns
+        until_ns = min(stamp_ns, self._filter.stamp_ns)
+        motion = None if found_ns is None else self._filter.motion_between(found_ns, until_ns)
+        if motion is None:
+            return ()
+        return tuple(
+            Candidate(map_from_base=one.map_from_base @ motion.delta, odds=one.odds)
+            for one in self._hypotheses.candidates()[:_SHOWN]
+            if one.odds >= _SHOWN_ODDS
         )
 
     def _state(self, covariance: Array, since_fix_s: float, wheel_age_s: float) -> State:
         params = self._params
         if self._last_result is None:
             return State.STARTING
-        if not self._located:
-            verdict = self._last_result.answer.verdict
-            return State.LOST if verdict is Verdict.UNKNOWN else State.AMBIGUOUS
-        major_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        if not self._located or self._doubtful():
+            places = sum(one.odds for one in self._hypotheses.candidates())
+            return State.AMBIGUOUS if places >= 0.5 else State.LOST
         if (
-            3.0 * major_m > params.lost_axis_m
+            too_wide(covariance, params)
             or since_fix_s > params.lost_s
             or wheel_age_s > params.wheels_lost_s
             or self._refusals >= params.lost_refusals
@@ -334,13 +337,7 @@ class Localizer:
             return State.ODOMETRY_ONLY
         return State.MAPPING if self._mode == "mapping" else State.LOCALIZED
 
-    def _fault(self, wheel_age_s: float) -> str | None:
-        if wheel_age_s > self._params.wheels_late_s:
-            return f"wheels silent for {wheel_age_s:.1f} s"
-        if self._refusals and self._last_result is not None:
-            return self._last_result.answer.reason
-        return None
-
-
-def _end_ns(scan: Scan) -> int:
-    return scan.stamp_ns + round(1e9 * scan.sweep_s)
+    def _doubtful(self) -> bool:
+        """Whether more than one scan says that the robot is elsewhere."""
+        home_odds = self._hypotheses.home_odds
+        return self._refusals > 1 and home_odds is not None and home_odds < 0.5

@@ -138,6 +138,15 @@ class State(enum.StrEnum):
     MAPPING = "mapping"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Candidate:
+    """One of several places where the robot may be."""
+
+    map_from_base: Pose2
+    odds: float
+    """How probable, in 0..1; what all candidates lack to 1 is for a place that is none of them."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PoseEstimate:
     """The fused pose, true for ``stamp_ns``, and what it is worth."""
@@ -159,6 +168,10 @@ class PoseEstimate:
     wheel_age_s: float = 0.0
     """Age of the newest wheel sample in it."""
     fault: str | None = None
+    candidates: tuple[Candidate, ...] = ()
+    """AMBIGUOUS: the places that fit, moved on to ``stamp_ns``, best first, five at most."""
+    explained: float | None = None
+    """Share of the newest registered scan that lies on the map's walls; None where none was."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", readonly(self.covariance))

@@ -104,6 +104,10 @@ def _health(view: RobotView) -> str:
     said = [view.pose.fault] if view.pose and view.pose.fault else []
     if view.status is not None:
         said += [
+            f"{one.odds:.0%} at ({one.x:.2f}, {one.y:.2f}, {math.degrees(one.theta):.0f} deg)"
+            for one in view.status.candidates
+        ]
+        said += [
             f"{name} {part.link}" + (f" ({part.detail})" if part.detail else "")
             for name, part in view.status.health().items()
             if part.link != "OK" or part.detail

@@ -17,7 +17,7 @@ from annotated_types import Ge, Gt, Interval, Le, Len
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from amr_slam.geometry import Pose2
-from amr_slam.samples import Health, PoseEstimate, State
+from amr_slam.samples import Candidate, Health, PoseEstimate, State
 
 SCHEMA_VERSION: Final = 1
 MAX_MESSAGE_BYTES: Final = 64 * 1024
@@ -25,6 +25,9 @@ MAX_MESSAGE_BYTES: Final = 64 * 1024
 UNKNOWN: Final = 1e9
 """Stands for "none yet" in ``since_fix_s``, ``since_fix_m`` and ``error95_m``. JSON has no
 infinity, and null would pass as 0 in a careless ``error95_m < 0.1``."""
+
+MAX_CANDIDATES: Final = 5
+"""Places that a status message tells at most."""
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """Where a robot listens and a tool on the same machine looks, unless told otherwise."""
@@ -80,6 +83,7 @@ Text = Annotated[str, Len(0, 500)]
 Name = Annotated[str, Len(1, 128)]
 Seconds = Annotated[float, Ge(0)]
 Count = Annotated[int, Ge(0)]
+Share = Annotated[float, Interval(ge=0.0, le=1.0)]
 Angle = Annotated[float, Gt(-math.pi), Le(math.pi)]
 
 
@@ -118,6 +122,21 @@ class MapPart(_Part):
     """UUID, as in the pose message."""
     name: Name
     version: Count
+
+
+class CandidatePart(_Part):
+    """One of the places where the robot may be."""
+
+    x: float
+    y: float
+    theta: Angle
+    odds: Share
+    """What all candidates lack to 1 is for a place that is none of them."""
+
+    @classmethod
+    def of(cls, candidate: Candidate) -> CandidatePart:
+        pose = candidate.map_from_base
+        return cls(x=pose.x_m, y=pose.y_m, theta=pose.theta_rad, odds=candidate.odds)
 
 
 class _Message(_Part):
@@ -238,6 +257,10 @@ class StatusMessage(_Message):
     """Of one core, all processes of the daemon together."""
     memory_mb: Annotated[float, Ge(0)]
     fault: Text | None = None
+    candidates: Annotated[tuple[CandidatePart, ...], Len(0, MAX_CANDIDATES)] = ()
+    """``ambiguous``: the places that fit, best first, as of the newest pose."""
+    explained: Share | None = None
+    """Share of the newest registered scan that lies on the map's walls; null before the first."""
 
     def health(self) -> Mapping[str, HealthPart]:
         """Every part's health by the name that a technician knows it by."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from amr_slam.changes import Change
 from amr_slam.clouds import CloudParams
 from amr_slam.engine import Mode, SlamRequest, SlamResult
+from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, unknown
 from amr_slam.fusion import FilterParams
-from amr_slam.geometry import Array, Pose2
+from amr_slam.geometry import Array, Pose2, inverse_matrix
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
 from amr_slam.odometry import DifferentialDrive
+from amr_slam.registration.alignment import Alignment
 from amr_slam.samples import Outcome, PoseEstimate, Scan, SlamPose, State, WheelSample
-from amr_slam.evidence import Answer, Rung, Verdict, unknown
 
 WHEEL_NS = 20_000_000
 DRIVE = DifferentialDrive(radius_left_m=0.1, radius_right_m=0.1, track_m=0.5)
@@ -87,6 +91,30 @@ class Rig:
         if request is not None:
             self.requests.append(request)
 
+    def found(
+        self,
+        *places: tuple[Pose2, float],
+        verdict: Verdict | None = None,
+        stamp_ns: int | None = None,
+    ) -> Outcome:
+        """A search of the whole map: these places, with these odds, the best one first."""
+        stamp_ns = self.now_ns if stamp_ns is None else stamp_ns
+        answer = answer_of(*places, verdict=verdict)
+        fix = None
+        if answer.verdict is Verdict.ACCEPTED:
+            fix = SlamPose(
+                stamp_ns=stamp_ns, map_from_base=places[0][0], covariance=SURE, relocalized=True
+            )
+        return self.hand_back(answer, fix, stamp_ns=stamp_ns)
+
+    def near(self, pose: Pose2, change: Change, *, verdict: Verdict = Verdict.ACCEPTED) -> Outcome:
+        """A scan that was compared at the expected place."""
+        found = answer_of((pose, 0.5), verdict=verdict)
+        answer = replace(found, rung=Rung.RELATIVE, odds=(), reason="it does not fit")
+        fix = SlamPose(stamp_ns=self.now_ns, map_from_base=pose, covariance=SURE)
+        accepted = verdict is Verdict.ACCEPTED
+        return self.hand_back(answer, fix if accepted else None, change=change)
+
     def answer(
         self,
         pose: Pose2 | None,
@@ -109,18 +137,30 @@ class Rig:
             )
             answer = Answer(
                 verdict=Verdict.ACCEPTED,
-                rung=Rung.ABSOLUTE if relocalized else Rung.RELATIVE,
+                rung=Rung.RESCUE if relocalized else Rung.RELATIVE,
                 candidates=1,
                 margin=1.0,
             )
+        return self.hand_back(answer, fix, inserted=inserted, stamp_ns=stamp_ns)
+
+    def hand_back(
+        self,
+        answer: Answer,
+        fix: SlamPose | None,
+        *,
+        inserted: bool = False,
+        stamp_ns: int | None = None,
+        change: Change | None = None,
+    ) -> Outcome:
         result = SlamResult(
-            stamp_ns=stamp_ns,
+            stamp_ns=self.now_ns if stamp_ns is None else stamp_ns,
             answer=answer,
             climbed=(answer,),
             fix=fix,
             inserted=inserted,
             map_scans=1,
             map_points=1,
+            change=change,
         )
         outcome = self.localizer.handle(result)
         self.collect()
@@ -138,3 +178,35 @@ class Rig:
     @property
     def off_m(self) -> float:
         return self.estimate.map_from_base.distance_to(self.truth)
+
+
+def answer_of(*places: tuple[Pose2, float], verdict: Verdict | None = None) -> Answer:
+    """Of a search of the whole map: accepted where it is 95 % sure, unless told otherwise."""
+    sure = bool(places) and places[0][1] >= 0.95
+    return Answer(
+        verdict=verdict or (Verdict.ACCEPTED if sure else Verdict.AMBIGUOUS),
+        rung=Rung.EXHAUSTIVE,
+        candidates=len(places),
+        places=tuple(hypothesis(pose) for pose, _ in places),
+        odds=tuple(odds for _, odds in places),
+    )
+
+
+def hypothesis(pose: Pose2, covariance: Array = SURE) -> Hypothesis:
+    return Hypothesis(
+        alignment=Alignment(
+            target_from_source=pose,
+            information=inverse_matrix(covariance),
+            converged=True,
+            iterations=1,
+            inliers=1.0,
+            rmse_m=0.01,
+        ),
+        score=1.0,
+        inliers=1.0,
+        known=1.0,
+        conflict=0.0,
+        passes=0.0,
+        agreeing=1.0,
+        e_psr_m=0.01,
+    )

@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from localizer_rig import DRIVE, PARAMS, SURE, Rig
 
+from amr_slam.changes import Change
 from amr_slam.clouds import CloudParams
+from amr_slam.evidence import Verdict
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Localizer, Mounting
@@ -76,25 +80,35 @@ def test_from_starting_over_mapping_to_odometry_only_and_lost() -> None:
     assert rig.estimate.epoch == 0
 
 
-def test_without_a_start_it_is_lost_until_two_solutions_agree() -> None:
+def test_without_a_start_it_is_lost_until_two_scans_from_two_poses_say_the_same() -> None:
     rig = Rig()
     assert rig.state() is State.STARTING
     there = Pose2(5.0, -3.0, 1.0)
     rig.answer(None)
-    assert rig.state() is State.LOST
+    assert (rig.state(), rig.estimate.fault) == (State.LOST, "no such place")
     rig.drive(1.0)
     rig.scan()
     rig.drive(0.2)
     assert rig.requests[-1].map_from_base is None  # anywhere
-    assert rig.answer(there, relocalized=True) is Outcome.GATED
+    assert rig.requests[-1].also is None
+    assert rig.found((there, 0.9995)) is Outcome.GATED
     assert rig.state() is State.AMBIGUOUS
     driven = rig.truth
     rig.drive(2.0)
     agreeing = there @ (driven.inverse() @ rig.truth)
-    assert rig.answer(agreeing, relocalized=True) is Outcome.RESET
-    assert rig.state() is State.LOCALIZED
+    (candidate,) = rig.estimate.candidates
+    assert candidate.map_from_base.distance_to(agreeing) < 0.02
+    assert candidate.odds == pytest.approx(0.9995, abs=1e-4)
+    rig.scan()
+    rig.drive(0.2)
+    here = there @ (driven.inverse() @ rig.truth)
+    also = rig.requests[-1].also
+    assert also is not None
+    np.testing.assert_allclose(also, [agreeing.as_array()], atol=0.02)  # tried again
+    assert rig.found((here, 0.9995)) is Outcome.RESET
+    assert (rig.state(), rig.estimate.candidates) == (State.LOCALIZED, ())
     assert rig.estimate.epoch == 1
-    assert rig.estimate.map_from_base.distance_to(agreeing) < 0.01
+    assert rig.estimate.map_from_base.distance_to(here) < 0.02
 
 
 def test_solutions_that_contradict_each_other_never_locate() -> None:
@@ -102,20 +116,118 @@ def test_solutions_that_contradict_each_other_never_locate() -> None:
     for _ in range(10):
         rig.drive(1.0)
         pose = Pose2.from_array(rng.uniform([-9, -9, -3], [9, 9, 3]))
-        assert rig.answer(pose, relocalized=True) is Outcome.GATED
+        assert rig.found((pose, 0.9995)) is Outcome.GATED
         assert rig.state() in {State.AMBIGUOUS, State.LOST}
     assert rig.estimate.epoch == 0
+
+
+def test_two_places_that_look_alike_stay_two_until_a_scan_tells_them_apart() -> None:
+    rig, twin = Rig(), Pose2(20.0, 5.0, 3.0)
+    for _ in range(6):
+        rig.drive(2.0)
+        assert rig.found((rig.truth, 0.55), (twin @ rig.truth, 0.44)) is Outcome.UNKNOWN
+        assert rig.state() is State.AMBIGUOUS
+        shown = [one.map_from_base.distance_to(rig.truth) for one in rig.estimate.candidates]
+        assert min(shown) < 0.05
+        assert len(shown) == 2
+        assert sum(one.odds for one in rig.estimate.candidates) > 0.98
+    looks = 0
+    while rig.state() is not State.LOCALIZED and looks < 9:
+        rig.drive(2.0)
+        rig.found((rig.truth, 0.99), (twin @ rig.truth, 0.005))
+        looks += 1
+    assert 1 < looks <= 5
+    assert rig.off_m < 0.02
+
+
+def test_a_lost_robot_that_knows_only_roughly_where_it_is_needs_two_views_as_well() -> None:
+    rig = located()
+    rig.pause(4.0)
+    rig.scan()  # the wheels are silent: it may have driven meanwhile
+    rig.drive(0.2)
+    assert rig.state() is State.LOST
+    look_alike = rig.truth @ Pose2(2.0, 1.0, 0.0)
+    assert rig.found((look_alike, 0.9995)) is Outcome.GATED
+    assert rig.state() is State.LOST
+    looks = 0
+    while rig.state() is not State.LOCALIZED and looks < 9:
+        rig.drive(2.0)
+        rig.found((rig.truth, 0.9995))
+        looks += 1
+    assert 2 <= looks <= 4  # they outweigh the look-alike
+    assert rig.off_m < 0.02
+    assert rig.estimate.epoch == 1
+
+
+def test_a_kidnapped_robot_is_doubted_then_found_where_it_is() -> None:
+    rig = located()
+    jump, states = Pose2(4.0, 3.0, 1.0), []
+    while rig.estimate.epoch == 0:
+        rig.drive(2.0)
+        moved = jump @ rig.truth
+        before = rig.estimate
+        rig.found((moved, 0.9995))
+        states.append(rig.state())
+        assert len(states) < 4
+        if rig.estimate.epoch == 0:
+            assert rig.estimate.map_from_base == before.map_from_base
+    assert states[-1] is State.LOCALIZED
+    assert len(states) > 1  # one scan is never enough
+    assert rig.estimate.map_from_base.distance_to(moved) < 0.02
+    assert rig.estimate.odom_from_base.distance_to(before.odom_from_base) < 0.01
+
+
+def test_a_located_robot_that_is_told_otherwise_again_and_again_is_not_localized() -> None:
+    rig = located()
+    twin = Pose2(4.0, 3.0, 1.0)
+    for _ in range(3):
+        rig.drive(0.4)  # too little for a second view
+        rig.found((twin @ rig.truth, 0.9), (Pose2(9.0, 9.0, 0.0) @ rig.truth, 0.09))
+    assert rig.state() in {State.AMBIGUOUS, State.LOST}
+    assert rig.estimate.epoch == 0
+
+
+OFFICE_MOVED = Change(explained=0.6, contradicting=0.38, sector_rad=(-0.35, 0.79))
+
+
+def test_a_changed_place_is_told_and_the_pose_stays() -> None:
+    rig = located()
+    for _ in range(8):
+        rig.drive(2.0)
+        assert rig.near(rig.truth, OFFICE_MOVED) is Outcome.ACCEPTED
+        assert rig.state() is State.LOCALIZED
+        assert rig.estimate.explained == 0.6
+        assert rig.estimate.fault == (
+            "38% of the scan contradicts the map, ahead (bearing -20..45 deg): "
+            "the place has changed?"
+        )
+    rig.drive(2.0)
+    rig.near(rig.truth, replace(OFFICE_MOVED, contradicting=0.1))
+    assert rig.estimate.fault is None
+
+
+@pytest.mark.parametrize(("explained", "lost"), [(0.6, False), (0.3, True)])
+def test_a_scan_that_fits_poorly_where_it_is_expected_is_no_fix_but_no_loss(
+    explained: float, lost: bool
+) -> None:
+    rig = located()
+    change = replace(OFFICE_MOVED, explained=explained)
+    for _ in range(PARAMS.lost_refusals + 1):
+        rig.drive(0.4)
+        assert rig.near(rig.truth, change, verdict=Verdict.UNKNOWN) is Outcome.UNKNOWN
+    assert rig.state() is (State.LOST if lost else State.LOCALIZED)
+    assert ("changed" in str(rig.estimate.fault)) is not lost
+    rig.drive(PARAMS.fresh_s)
+    assert rig.state() is (State.LOST if lost else State.ODOMETRY_ONLY)
 
 
 @pytest.mark.parametrize(
     ("relocalized", "needed"),
     [(True, PARAMS.agreeing_relocalizations), (False, PARAMS.agreeing_refusals)],
 )
-def test_a_kidnapped_robot_jumps_once_enough_solutions_agree(
-    relocalized: bool, needed: int
-) -> None:
+def test_the_pose_jumps_once_enough_solutions_near_it_agree(relocalized: bool, needed: int) -> None:
     rig = located()
-    jump = Pose2(4.0, 3.0, 1.0)
+    jump = Pose2(0.8, 0.5, 0.1)
     for number in range(1, needed + 1):
         rig.drive(1.0)
         before = rig.estimate
@@ -138,7 +250,8 @@ def test_one_outlier_moves_nothing() -> None:
     rig.drive(1.0)
     before = rig.estimate
     wrong = Pose2(rig.truth.x_m + 2.0, rig.truth.y_m, rig.truth.theta_rad)
-    assert rig.answer(wrong, relocalized=True) is Outcome.GATED
+    assert rig.found((wrong, 0.9995)) is Outcome.GATED
+    assert rig.state() is State.LOCALIZED
     assert rig.estimate.map_from_base == before.map_from_base
     assert rig.localizer.outcomes["fix.gated"] == 1
     rig.drive(1.0)
@@ -146,7 +259,7 @@ def test_one_outlier_moves_nothing() -> None:
     # A later outlier does not team up with the first one.
     rig.drive(1.0)
     again = wrong @ Pose2(0.6, 0.0, 0.0)
-    assert rig.answer(again, relocalized=True) is Outcome.GATED
+    assert rig.found((again, 0.9995)) is Outcome.GATED
     assert rig.off_m < 0.02
     assert rig.estimate.epoch == 0
 

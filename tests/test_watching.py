@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import socket
 import threading
@@ -15,7 +16,7 @@ from rich.console import Console
 from amr_slam.publishing import PublishingError, RobotPublisher, RobotView
 from amr_slam.samples import State
 from amr_slam.watching import line, table, watch
-from amr_slam.wire import UNKNOWN, ZenohSettings
+from amr_slam.wire import UNKNOWN, CandidatePart, ZenohSettings
 
 DEADLINE_S = 20.0
 
@@ -78,6 +79,15 @@ def test_health_names_what_is_wrong_and_nothing_else() -> None:
         "health=wheels silent; front LOST (no data for 3 s); rear OK (standby); 2 bad messages"
     )
     assert line(view_of(status=None)).endswith("health=-")
+
+
+def test_an_ambiguous_robot_says_where_it_may_be() -> None:
+    places = (
+        CandidatePart(x=1.0, y=2.0, theta=math.pi / 2, odds=0.7),
+        CandidatePart(x=-8.25, y=2.0, theta=0.0, odds=0.25),
+    )
+    shown = line(view_of(status=status_of(state=State.AMBIGUOUS, candidates=places)))
+    assert shown.endswith("health=70% at (1.00, 2.00, 90 deg); 25% at (-8.25, 2.00, 0 deg)")
 
 
 def test_names_from_the_network_do_not_steer_the_terminal() -> None:

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from messages import status_of
 from pydantic import ValidationError
 
 from amr_slam.geometry import Pose2
-from amr_slam.samples import Health, Link, PoseEstimate, State
+from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.wire import (
     MAX_MESSAGE_BYTES,
     UNKNOWN,
+    CandidatePart,
     HealthPart,
     MapPart,
     OdomPose,
@@ -295,6 +297,29 @@ def test_damage_is_refused_or_harmless(start: int, length: int, middle: bytes) -
 def test_messages_do_not_change() -> None:
     with pytest.raises(ValidationError, match="frozen"):
         message().x = 2.0
+
+
+def test_a_status_tells_where_an_ambiguous_robot_may_be() -> None:
+    places = [
+        CandidatePart.of(Candidate(map_from_base=Pose2(x, 2.0, -0.5), odds=odds))
+        for x, odds in ((1.0, 0.6), (9.0, 0.3))
+    ]
+    said = status_of(candidates=tuple(places), explained=0.8)
+    heard = StatusMessage.decode(said.encode())
+    assert heard == said
+    assert [(one.x, one.theta, one.odds) for one in heard.candidates] == [
+        (1.0, -0.5, 0.6),
+        (9.0, -0.5, 0.3),
+    ]
+    older = json.loads(said.encode())
+    del older["candidates"], older["explained"]
+    assert StatusMessage.decode(json.dumps(older).encode()).candidates == ()
+    with pytest.raises(WireError, match="candidates"):
+        StatusMessage.decode(json.dumps(older | {"candidates": [{"x": 0.0}]}).encode())
+    with pytest.raises(ValidationError):
+        status_of(candidates=tuple(3 * places))
+    with pytest.raises(ValidationError):
+        status_of(explained=1.2)
 
 
 def test_schemas_are_json_and_name_every_field() -> None:

@@ -12,12 +12,12 @@ from typing import Final
 
 from amr_slam.config import Config
 from amr_slam.publishing import RobotPublisher
-from amr_slam.samples import Health, Link, PoseEstimate, State
+from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
-from amr_slam.wire import HealthPart, MapPart, PoseMessage, StatusMessage
+from amr_slam.wire import CandidatePart, HealthPart, MapPart, PoseMessage, StatusMessage
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +53,8 @@ class Reporter:
         self._poses = self._statuses = 0
         self._state = State.STARTING
         self._pose_fault: str | None = None
+        self._candidates: tuple[Candidate, ...] = ()
+        self._explained: float | None = None
         self._fault: str | None = None
 
     def publish_pose(self, estimate: PoseEstimate | None) -> None:
@@ -62,6 +64,7 @@ class Reporter:
         if estimate.state is not self._state:
             _log.info("state: %s, was %s", estimate.state, self._state)
         self._state, self._pose_fault = estimate.state, estimate.fault
+        self._candidates, self._explained = estimate.candidates, estimate.explained
         active = self._worker.active_map
         message = PoseMessage.from_estimate(
             replace(estimate, fault=_joined(estimate.fault, self._fault)),
@@ -86,6 +89,7 @@ class Reporter:
             tuple(part.link for part in parts.values()),
             active.map_id if active is not None else None,
             self._clock.steps,
+            len(self._candidates),
         )
         since_ns = now_ns - self._told_ns
         if since_ns < (_PERIOD_NS if what == self._told else _LEAST_PERIOD_NS):
@@ -125,6 +129,8 @@ class Reporter:
             cpu_percent=cpu_percent,
             memory_mb=memory_mb,
             fault=_joined(self._pose_fault, self._fault),
+            candidates=tuple(CandidatePart.of(one) for one in self._candidates),
+            explained=self._explained,
         )
 
     def _usage_at(self, now_ns: int) -> tuple[float, float]:

@@ -1,0 +1,76 @@
+"""What an answer of the registration is worth, and when a pose is not worth driving by any more."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from amr_slam.engine import SlamResult
+from amr_slam.evidence import Answer, Rung
+from amr_slam.geometry import Array
+from amr_slam.hypotheses import TrackingParams
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalizerParams:
+    """When scans belong together, and when a pose is no longer worth driving by."""
+
+    pair_wait_s: Annotated[float, Ge(0.0)] = 0.15
+    """How long a scan waits for the other scanner's before it is registered alone."""
+    fresh_s: Annotated[float, Gt(0.0)] = 5.0
+    """A fix older than this (2.5 scan periods) is not fresh: odometry_only."""
+    lost_s: Annotated[float, Gt(0.0)] = 20.0
+    """Without a fix for this long: lost."""
+    lost_axis_m: Annotated[float, Gt(0.0)] = 1.5
+    """Three standard deviations along the error ellipse's major axis above this: lost."""
+    lost_refusals: Annotated[int, Ge(1)] = 5
+    """This many scans in a row without an accepted pose: lost."""
+    agreeing_relocalizations: Annotated[int, Ge(1)] = 2
+    """Agreeing solutions of a search around the expected pose before the pose jumps to them."""
+    agreeing_refusals: Annotated[int, Ge(1)] = 3
+    """Refused fixes that agree with one another before the filter gives in."""
+    wheels_late_s: Annotated[float, Gt(0.0)] = 0.1
+    """Wheels silent for this long: said in the fault text."""
+    wheels_silent_s: Annotated[float, Gt(0.0)] = 0.5
+    """Wheels silent for this long: they no longer count, the robot may be anywhere it could
+    have driven to."""
+    wheels_lost_s: Annotated[float, Gt(0.0)] = 2.0
+    """Wheels silent for this long: lost."""
+    changed_share: Annotated[float, Gt(0.0), Le(1.0)] = 0.15
+    """So much of the scan must contradict the map to be told as a change of the place."""
+    explained_share: Annotated[float, Ge(0.0), Le(1.0)] = 0.5
+    """A scan that is not accepted, but fits at the expected pose with so much of its surface, does
+    not count towards ``lost``: the place has changed, the robot is where it was thought to be."""
+    tracking: TrackingParams = field(default_factory=TrackingParams)
+    """Places found by a search of the whole map."""
+
+
+def too_wide(covariance: Array, params: LocalizerParams) -> bool:
+    """Whether a pose of this covariance (3, 3) is no pose to drive by."""
+    major_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return 3.0 * major_m > params.lost_axis_m
+
+
+def whole_map(result: SlamResult) -> Answer | None:
+    """The most thorough answer of a search of the whole map, if there was one."""
+    searched = [one for one in result.climbed if one.rung in {Rung.ABSOLUTE, Rung.EXHAUSTIVE}]
+    return searched[-1] if searched else None
+
+
+def fault_of(
+    result: SlamResult | None, refusals: int, wheel_age_s: float, params: LocalizerParams
+) -> str | None:
+    """What to tell people is wrong. ``refusals``: scans in a row that were of no use."""
+    if wheel_age_s > params.wheels_late_s:
+        return f"wheels silent for {wheel_age_s:.1f} s"
+    if result is None or result.inserted:
+        return None
+    change = result.change
+    changed = change is not None and change.contradicting >= params.changed_share
+    if refusals or (result.fix is None and not changed):
+        return result.answer.reason
+    return f"{change.describe()}: the place has changed?" if change and changed else None
