@@ -107,3 +107,12 @@ def test_walls_and_blocks_between_corridors_are_no_furniture() -> None:
     for seed in range(3):
         things, _ = _things(corridors(seed, 400.0))
         assert all(np.ptp(thing.corners_m, axis=0).max() < 1.3 for thing in things)
+
+
+def test_inner_walls_stay_when_all_furniture_moves() -> None:
+    """Only the ends of walls are 10 to 20 cm long in offices: legs are thinner, cupboards more."""
+    world = offices(3, 400.0)
+    length = np.hypot(*(world.segments_m[:, 2:] - world.segments_m[:, :2]).T)
+    ends = {tuple(row) for row in world.segments_m[(length > 0.09) & (length < 0.21)].tolist()}
+    assert len(ends) > 40
+    assert ends <= rows(moved_furniture(world, np.random.default_rng(0), 1.0))

@@ -60,3 +60,13 @@ def test_noise_and_rounding_play_no_part_in_what_is_covered() -> None:
         assert exact.share(pose) == pytest.approx(rounded.share(pose), abs=0.02)
     nowhere = Pose2(500.0, 500.0, 0.0)
     assert exact.share(nowhere) == 0.0
+
+
+def test_what_lies_behind_half_a_view_is_not_covered() -> None:
+    world, model = laboratory(2), SCANNERS["office 81 m"]
+    here = free_poses(world, np.random.default_rng(3), 1, 1.5)[0]
+    back = here @ Pose2(0.0, 0.0, np.pi)
+    ahead = Coverage(world, [here], model)
+    assert ahead.share(here) == 1.0
+    assert ahead.share(here @ Pose2(0.0, 0.0, 0.5 * np.pi)) == pytest.approx(0.5, abs=0.1)
+    assert ahead.share(back) < 0.1
