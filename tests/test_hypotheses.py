@@ -116,6 +116,19 @@ def test_a_standing_robot_is_located_by_scans_that_each_leave_no_doubt() -> None
     assert walk.tracker.unique() is None
 
 
+def test_to_be_found_again_where_the_wheels_say_counts_beside_the_odds() -> None:
+    """Doubtful each time, but at one place: it gains on what comes and goes."""
+    walk = Walk().see((HERE, 0.4))
+    odds = [walk.odds[0]]
+    for number in range(4):
+        passing = Pose2(30.0 + 9.0 * number, 0.0, 0.0)
+        walk.step(AHEAD).see((HERE, 0.4), (passing, 0.3))
+        odds.append(walk.odds[0])
+        assert walk.best.distance_to(HERE @ walk.moved) < 1e-6
+    assert odds == sorted(odds)
+    assert odds[-1] > 0.75
+
+
 def test_a_look_alike_keeps_the_robot_from_being_located() -> None:
     walk = Walk()
     for _ in range(50):
