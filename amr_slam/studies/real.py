@@ -132,11 +132,13 @@ along corridors; halls are open floors with stands, pillars and partitions; in c
 see two walls and some doors. acapulco, fhw and seattle hold key scans only, about a metre apart.
 
 *Not findable*: another place fits better even if the reference pose itself is among the
-candidates; the other wrong ones were missed by the search. Driving on: the localizer starts on a
-covered scan without a start pose and gets the recording's wheels and its scans at least 2 s apart
-until it says that it is localized, at most {most}; its pose at that scan is judged. Drives that
-end with the part before are cut short. Scans whose place the map hardly knows (at most {hardly:.0%}
-of their points on mapped walls) ask for the answer unknown; an answer there may still be right."""
+candidates; the other wrong ones were missed by the search. Covered scans may see the other face of
+a thin wall than the map's scans did: the criterion asks where points lie, not which way they face.
+Driving on: the localizer starts on a covered scan without a start pose and gets the recording's
+wheels and its scans at least 2 s apart until it says that it is localized, at most {most}; its
+pose at that scan is judged. Drives that end with the part before are cut short. Scans whose place
+the map hardly knows (at most {hardly:.0%} of their points on mapped walls) ask for the answer
+unknown; an answer there may still be right."""
 
 
 def _recordings(found: Sequence[_Log]) -> Table:

@@ -22,8 +22,9 @@ from amr_slam.params import SlamParams
 from amr_slam.recording import Log, Sample, Trajectory, read_log, read_tum
 from amr_slam.samples import Scan
 
-PARTS: Final = 4
-"""A recording is cut into this many parts of equal way; each is sought in a map of the others."""
+PARTS: Final = 2
+"""A recording is cut into this many parts of equal way; each is sought in a map of the others. Two:
+one pass maps, the other is sought. More parts cover more scans and cost a map each."""
 APART_S: Final = 60.0
 """A mapping scan is at least this long before or after the whole part that is sought in its map,"""
 APART_M: Final = 10.0

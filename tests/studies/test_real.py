@@ -91,10 +91,10 @@ def test_a_recording_shorter_than_the_gap_has_no_passes() -> None:
 
 
 def test_places_of_other_rounds_are_covered_and_others_are_not() -> None:
-    parts = passes(recording().visits)
+    parts = passes(recording().visits, 4)
     assert np.mean(np.concatenate([part.covered for part in parts]) >= COVERED) > 0.95
     lost = [replace(visit, pose=Pose2(50.0, 0.0, 0.0) @ visit.pose) for visit in parts[0].asked]
-    shifted = passes([*lost, *parts[1].asked, *parts[2].asked, *parts[3].asked])
+    shifted = passes([*lost, *parts[1].asked, *parts[2].asked, *parts[3].asked], 4)
     assert np.mean(shifted[0].covered) < 0.1
 
 
@@ -113,7 +113,7 @@ def test_scans_without_a_reference_pose_and_standing_ones_are_left_out() -> None
 
 
 def test_fewer_scans_are_some_of_more() -> None:
-    parts = passes(recording().visits)
+    parts = passes(recording().visits, 4)
     few, many = choose(parts, 10, seed=3), choose(parts, 40, seed=3)
     assert sum(map(len, few)) == 10
     assert all(set(a) <= set(b) for a, b in zip(few, many, strict=True))
@@ -129,7 +129,7 @@ def test_evidence_knows_right_from_wrong() -> None:
 
 def test_answers_are_judged_by_the_reference() -> None:
     """Against a reference that is half a metre off, right answers are wrong."""
-    part = passes(recording().visits)[1]
+    part = passes(recording().visits, 4)[1]
     off = Pose2(0.5, 0.0, 0.0)
     bent = replace(part, asked=tuple(replace(visit, pose=visit.pose @ off) for visit in part.asked))
     params = SlamParams()
@@ -141,7 +141,7 @@ def test_answers_are_judged_by_the_reference() -> None:
 
 def test_driving_on_ends_with_a_right_claim_or_none() -> None:
     whole = recording()
-    part = passes(whole.visits)[1]
+    part = passes(whole.visits, 4)[1]
     known = part.map(SlamParams())
     claim = first_claim(whole, known, SlamParams(), part.asked[4].stamp_ns, part.end_ns)
     assert claim.located
@@ -166,7 +166,7 @@ def test_driving_on_ends_with_a_right_claim_or_none() -> None:
 def test_one_recording_in_full(tmp_path: Path) -> None:
     for name in ("seattle.log.gz", "seattle.corrected.tum"):
         (tmp_path / name).symlink_to(LOGS / name)
-    section = run(Effort(scale=0.1, progress=lambda _: None), tmp_path)
+    section = run(Effort(scale=0.05, progress=lambda _: None), tmp_path)
     tables = {table.title: table for table in section.tables}
     (kind,) = tables["By kind, g = 0.5 m"].rows
     assert kind[0] == "corridors"
