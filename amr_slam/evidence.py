@@ -7,6 +7,7 @@ everything that was found is kept as data, the places that were not chosen inclu
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
-from amr_slam.params import Acceptance, SlamParams
+from amr_slam.params import Acceptance, Plausibility, SlamParams
 from amr_slam.registration import casting, fit
 from amr_slam.registration.alignment import Alignment, Target
 from amr_slam.registration.error import mean_below
@@ -146,8 +147,8 @@ def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: Sla
     """The verdict on the best hypothesis: it must fit, and stand out from the second place."""
     places = distinct(sorted(tried, key=lambda one: -one.score))
     best = places[0]
-    second = places[1] if len(places) > 1 else None
-    margin = best.score - (max(second.score, 0.0) if second else 0.0)
+    margin = best.score - (max(places[1].score, 0.0) if len(places) > 1 else 0.0)
+    odds = odds_of(places, params.plausibility)
     bar = {
         Rung.RELATIVE: params.relative,
         Rung.CPD: params.rescue,  # it may have drifted as far as a search would look
@@ -160,14 +161,55 @@ def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: Sla
     if not reason and margin < bar.margin:
         verdict = Verdict.AMBIGUOUS
         reason = f"a second place fits nearly as well (margin {margin:.2f} < {bar.margin:.2f})"
+    least = {
+        Rung.ABSOLUTE: params.plausibility.sure,
+        Rung.EXHAUSTIVE: params.plausibility.accept,
+    }.get(rung, 0.0)
+    probable = plausibility(best, margin, params.plausibility)
+    if not reason and probable < least:
+        verdict, reason = _doubt(probable, odds, least)
     return Answer(
         verdict=verdict,
         rung=rung,
         candidates=candidates,
         places=places,
+        odds=odds,
         margin=margin,
         reason=reason,
     )
+
+
+def _doubt(probable: float, odds: Sequence[float], least: float) -> tuple[Verdict, str]:
+    """What to call a best place that is not probable enough, and why."""
+    likely = [p for p in odds if p >= 0.1 * odds[0]]
+    if len(likely) > 1 and sum(odds) >= 0.5:
+        shares = ", ".join(f"{p:.0%}" for p in likely)
+        return Verdict.AMBIGUOUS, f"{len(likely)} places fit alike (odds {shares})"
+    return Verdict.UNKNOWN, f"the best place is right by {probable:.2%} only (< {least:.2%})"
+
+
+def plausibility(best: Hypothesis, margin: float, params: Plausibility) -> float:
+    """Probability that the best place is the right one, given its lead over the second."""
+    evidence = (
+        params.bias
+        + params.margin * margin
+        + params.score * best.score
+        + params.agreeing * best.agreeing
+        + params.passes * best.passes
+    )
+    return 1.0 / (1.0 + math.exp(-min(max(evidence, -50.0), 50.0)))
+
+
+def odds_of(places: Sequence[Hypothesis], params: Plausibility) -> tuple[float, ...]:
+    """How probable each of the places (best first, not empty) is; they sum to 1 at most.
+
+    In all as probable as the best would be without a rival; among themselves they share it by
+    their scores. What is left is for a place that is none of them.
+    """
+    best = places[0]
+    fits = plausibility(best, max(best.score, 0.0), params)
+    ratios = [math.exp(params.margin * (place.score - best.score)) for place in places]
+    return tuple(fits * ratio / sum(ratios) for ratio in ratios)
 
 
 def objection(hypothesis: Hypothesis, bar: Acceptance) -> str | None:

@@ -38,6 +38,28 @@ class Acceptance:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Plausibility:
+    """How probable it is that the best place found without a prior is the right one: a logistic
+    regression on what the scan shows there (fields of :class:`amr_slam.evidence.Hypothesis`).
+
+    Weights fitted over many worlds, clutter and noise by ``tools/calibrate.py``; why they are
+    believed elsewhere: ``docs/adr/0010-acceptance.md``.
+    """
+
+    bias: float = -4.0
+    margin: float = 14.2
+    """Of the lead over the second place: wrong places come in crowds."""
+    score: float = -3.5
+    """What a high score is worth beyond its lead: halls that repeat themselves fit well."""
+    agreeing: float = 7.9
+    passes: float = -13.0
+    accept: Share = 0.95
+    """Least odds at which one scan alone is believed."""
+    sure: Share = 0.9999
+    """Least odds at which the exhaustive search for a better place is left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlamParams:
     """The strategies of :mod:`amr_slam.slam` and the methods below them."""
 
@@ -78,9 +100,11 @@ class SlamParams:
     )
     """What it must show to end the search: a poorer one counts if the later rungs find none."""
     absolute: Acceptance = field(
-        default_factory=lambda: Acceptance(inliers=0.7, conflict=0.08, known=0.7, margin=0.2)
+        default_factory=lambda: Acceptance(inliers=0.3, conflict=0.4, known=0.5, margin=0.0)
     )
-    """What a pose found without a prior must show."""
+    """What a pose found without a prior must show at the least,"""
+    plausibility: Plausibility = field(default_factory=Plausibility)
+    """and what it shows in all."""
     rescue: Acceptance = field(
         default_factory=lambda: Acceptance(inliers=0.75, conflict=0.2, known=0.6, margin=0.1)
     )
@@ -129,5 +153,6 @@ def preset(name: Preset) -> SlamParams:
         relative=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
         settled=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
         absolute=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
+        plausibility=Plausibility(accept=0.0, sure=0.0),
         rescue=Acceptance(inliers=0.0, conflict=1.0, known=0.0, margin=0.0, e_max_m=0.15),
     )

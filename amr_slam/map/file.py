@@ -261,7 +261,8 @@ def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
     ):
         if len(arrays[keys]) != len(arrays[sums]) or np.any(np.diff(arrays[keys]) <= 0):
             raise ValueError(f"{keys} must be sorted and match {sums}")
-        grid.keys, grid.sums = arrays[keys], arrays[sums]
+        grid.keys = arrays[keys]
+        grid.sums = np.asarray(arrays[sums], dtype=grid.sums.dtype)
     lengths = {len(arrays[name]) for name in ("path_poses", "path_stamps_ns", "path_noises_m")}
     if len(lengths) != 1:
         raise ValueError("the path's stamps, poses and noises differ in number")

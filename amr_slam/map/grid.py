@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,10 +21,12 @@ def _pack(ix: Keys, iy: Keys) -> Keys:
 class SparseGrid:
     """Cells of ``cell_m`` with a row of sums each, sorted by key: look-ups are binary searches."""
 
-    def __init__(self, cell_m: float, channels: int) -> None:
+    def __init__(self, cell_m: float, channels: int, *, counts: bool = False) -> None:
+        """``counts``: only whole numbers are summed, for which half the memory will do."""
         self.cell_m = cell_m
         self.keys: Keys = np.empty(0, dtype=np.int64)
-        self.sums: Array = np.empty((0, channels))
+        kind = np.float32 if counts else np.float64
+        self.sums = cast("Array", np.empty((0, channels), dtype=kind))
 
     def __len__(self) -> int:
         return len(self.keys)

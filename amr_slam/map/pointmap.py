@@ -19,7 +19,7 @@ from amr_slam.map.rays import Rays, forget, pack
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
 from amr_slam.registration.field import Field, FieldParams
-from amr_slam.registration.rdnm import RdnmParams
+from amr_slam.registration.rdnm import Packed, RdnmParams
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,7 +72,8 @@ class PointMap:
         self.params = params
         self.name = name
         self.walls = SparseGrid(params.cell_m, _CHANNELS)
-        self.space = SparseGrid(params.free_cell_m, 2)  # scans that passed, scans that ended
+        # Scans that passed, scans that ended.
+        self.space = SparseGrid(params.free_cell_m, 2, counts=True)
         self.path: list[tuple[int, Pose2]] = []
         """(stamp ns, map_from_base) of each scan that the map is made of."""
         self.noises_m: list[float] = []
@@ -86,7 +87,7 @@ class PointMap:
         self._latest: tuple[int, Target] | None = None
         self._whole: tuple[int, Target] | None = None
         self._places: dict[tuple[float, float], tuple[int, Array]] = {}
-        self._signatures: tuple[int, RdnmParams, Array, Array] | None = None
+        self._signatures: tuple[int, RdnmParams, Array, Packed] | None = None
         self._field: tuple[int, FieldParams, Field] | None = None
 
     def __len__(self) -> int:
@@ -306,8 +307,8 @@ class PointMap:
 
     def signatures(
         self, spacing_m: float, robot_radius_m: float, params: RdnmParams
-    ) -> tuple[Array, Array]:
-        """(places (m, 2), their RDN signatures (m, sections)), computed once per revision."""
+    ) -> tuple[Array, Packed]:
+        """(places (m, 2), their packed RDN signatures (m, sections)), once per revision."""
         places = self.places(spacing_m, robot_radius_m)
         cached = self._signatures
         if cached is None or cached[:2] != (self.revision, params) or cached[2] is not places:

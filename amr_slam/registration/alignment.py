@@ -6,13 +6,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.registration import lookup
 
 # How far a correspondence may be sought: rough poses are this wrong, noisy points stray farther.
-_LEAST_REACH_M, _MOST_REACH_M = 0.8, 1.0
+_LEAST_REACH_M, _MOST_REACH_M = 0.7, 1.0
 
 
 def _nowhere() -> Array:
@@ -24,22 +25,25 @@ class Target:
     """The part of a map that a scan is registered against; arrays are read-only."""
 
     points_m: Array
-    """(n, 2) in the map frame."""
+    """(n, 2) in the map frame; kept in the order of their x."""
     normals: Array
     """(n, 2) unit normals that face where the wall was seen from; (0, 0) where unknown."""
     spacing_m: float = 0.05
     """Distance of neighbouring points along a wall."""
     sigma_m: float = 0.0
     """Noise of the scans that the points were made of: how far from them a wall may lie."""
-    free_m: Array = field(default_factory=_nowhere)
+    free_m: NDArray[np.float32] | Array = field(default_factory=_nowhere)
     """(k, 2) centres of the cells that rays have passed, walls excepted."""
     cell_m: float = 0.1
     """Side of these cells."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", readonly(self.points_m))
-        object.__setattr__(self, "normals", readonly(self.normals))
-        object.__setattr__(self, "free_m", readonly(self.free_m))
+        order = np.argsort(self.points_m[:, 0], kind="stable")
+        object.__setattr__(self, "points_m", readonly(self.points_m[order]))
+        object.__setattr__(self, "normals", readonly(self.normals[order]))
+        free_m = self.free_m.astype(np.float32)
+        free_m.flags.writeable = False
+        object.__setattr__(self, "free_m", free_m)
 
     def __len__(self) -> int:
         return len(self.points_m)

@@ -31,6 +31,7 @@ def ranges(target: Target, origins_m: Array, directions: Array, range_max_m: flo
             target.points_m,
             target.normals,
             lookup.tiles,
+            lookup.first,
             lookup.pool,
             lookup.layout,
             lookup.reach_m,

@@ -23,7 +23,7 @@ from amr_slam.registration import kernels, lookup
 from amr_slam.registration.alignment import Target
 
 # What a point costs that stands in free space: people do, so it must not cost much.
-_FREE: Final = -0.3
+_FREE: Final = -30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,9 +53,9 @@ class Field:
     x0_m: float
     y0_m: float
     cell_m: float
-    values: NDArray[np.float32]
-    """(5, ny, nx): 1 on a wall of that layer (see :mod:`lookup`), 0 at reach or beyond, and
-    below 0 where the map saw free space and no wall is near."""
+    values: NDArray[np.int8]
+    """(5, ny, nx) in hundredths: 100 on a wall of that layer (see :mod:`lookup`), 0 at reach or
+    beyond, and below 0 where the map saw free space and no wall is near."""
 
 
 def build(target: Target, params: FieldParams) -> Field:
@@ -67,13 +67,13 @@ def build(target: Target, params: FieldParams) -> Field:
     x = grid.x0_m + (np.arange(nx) + 0.5) * cell_m
     y = grid.y0_m + (np.arange(ny) + 0.5) * cell_m
     centres = np.stack(np.meshgrid(x, y), axis=-1)
-    values = np.zeros((len(lookup.DIRECTIONS), ny, nx), dtype=np.float32)
+    values = np.zeros((len(lookup.DIRECTIONS), ny, nx), dtype=np.int8)
     for layer, direction in enumerate(lookup.DIRECTIONS):
         row = grid.rows(centres, np.broadcast_to(direction, centres.shape))
         off = target.points_m[row] - centres
         value = np.clip(1.0 - np.hypot(off[..., 0], off[..., 1]) / params.reach_m, 0.0, 1.0)
-        values[layer] = np.where(row >= 0, value, 0.0)
-    values[:, grid.seen_free(centres) & (values[0] == 0.0)] = _FREE
+        values[layer] = np.round(np.where(row >= 0, 100.0 * value, 0.0))
+    values[:, grid.seen_free(centres) & (values[0] == 0)] = _FREE
     return Field(x0_m=grid.x0_m, y0_m=grid.y0_m, cell_m=cell_m, values=values)
 
 
@@ -131,16 +131,16 @@ def _mean(
 def _sum_in_numpy(
     cells: NDArray[np.int32],
     layers: NDArray[np.int32],
-    values: NDArray[np.float32],
+    values: NDArray[np.int8],
     rows: NDArray[np.int32],
     columns: NDArray[np.int32],
     headings: NDArray[np.int32],
 ) -> NDArray[np.float32]:
     """What :func:`kernels.sum_field` does, a point at a time."""
-    out = np.zeros(len(rows), dtype=np.float32)
+    out = np.zeros(len(rows), dtype=np.int32)
     for i in range(cells.shape[1]):
         iy, ix = rows + cells[headings, i, 0], columns + cells[headings, i, 1]
         inside = (iy >= 0) & (ix >= 0) & (iy < values.shape[1]) & (ix < values.shape[2])
         found = values[layers[headings, i], np.where(inside, iy, 0), np.where(inside, ix, 0)]
-        out += np.where(inside, found, np.float32(0.0))
-    return out
+        out += np.where(inside, found, 0)
+    return np.float32(0.01) * out.astype(np.float32)

@@ -27,6 +27,7 @@ def distances(target: Target, moved_m: Array, turned: Array) -> tuple[Array, Arr
             turned,
             target.points_m,
             lookup.tiles,
+            lookup.first,
             lookup.pool,
             lookup.layout,
         )
@@ -54,6 +55,7 @@ def scores(source: Cloud, target: Target, poses: Array, scale_m: float) -> Array
             poses,
             target.points_m,
             lookup.tiles,
+            lookup.first,
             lookup.pool,
             lookup.free,
             lookup.layout,

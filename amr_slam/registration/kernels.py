@@ -1,7 +1,7 @@
 """The loops of registration that pay to be compiled; each has a numpy twin where it is used.
 
 Plain loops over contiguous arrays, no fast-math. A look-up comes as its parts: ``tiles``,
-``pool`` and ``layout`` (x0, y0, cell); compiled code takes arrays, numbers and tuples of them.
+``first``, ``pool`` and ``layout`` (x0, y0, cell); compiled code takes arrays, numbers and tuples of them.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from amr_slam.compiled import jit
 from amr_slam.geometry import Array
 
 Index = NDArray[np.int32]
+Pool = NDArray[np.uint16]
 Layout = tuple[float, float, float]
 
-TILE: Final = 16
+TILE: Final = 8
+NONE: Final = 65535
 
 
 @jit
@@ -29,9 +31,9 @@ def stamp_nearest(
     shape: tuple[int, int],
     reach: float,
     within: float,
-) -> tuple[Index, Index]:
-    """Tiles (5, ty, tx) and pool (k, TILE, TILE) of :class:`lookup.Lookup`: the row of the point
-    nearest to each cell's centre, by stamping a disc around every point."""
+) -> tuple[Index, Index, Pool]:
+    """Tiles (5, ty, tx), first rows (k,) and pool (k, TILE, TILE) of :class:`lookup.Lookup`: the
+    row of the point nearest to each cell's centre, by stamping a disc around every point."""
     x0, y0, cell = layout
     ty, tx = shape
     span = math.ceil(reach / cell)
@@ -52,7 +54,8 @@ def stamp_nearest(
                     if member[k, layer] and tiles[layer, jy, jx] < 0:
                         tiles[layer, jy, jx] = count
                         count += 1
-    pool = np.full((count, TILE, TILE), -1, dtype=np.int32)
+    first = np.full(count, -1, dtype=np.int32)
+    pool = np.full((count, TILE, TILE), NONE, dtype=np.uint16)
     best = np.full((count, TILE, TILE), reach * reach)
     for k in range(points.shape[0]):
         px, py = points[k, 0], points[k, 1]
@@ -70,17 +73,23 @@ def stamp_nearest(
                         tile = tiles[layer, iy // TILE, ix // TILE]
                         if d2 < best[tile, iy % TILE, ix % TILE]:
                             best[tile, iy % TILE, ix % TILE] = d2
-                            pool[tile, iy % TILE, ix % TILE] = k
-    return tiles, pool
+                            # Points come sorted: the first that a tile sees has its least row.
+                            if first[tile] < 0:
+                                first[tile] = k
+                            pool[tile, iy % TILE, ix % TILE] = k - first[tile]
+    return tiles, first, pool
 
 
 @jit
-def row_at(layer: int, iy: int, ix: int, tiles: Index, pool: Index) -> int:
+def row_at(layer: int, iy: int, ix: int, tiles: Index, first: Index, pool: Pool) -> int:
     """The nearest point's row of a cell that lies inside the grid, or -1."""
     tile = tiles[layer, iy // TILE, ix // TILE]
     if tile < 0:
         return -1
-    return int(pool[tile, iy % TILE, ix % TILE])
+    offset = pool[tile, iy % TILE, ix % TILE]
+    if offset == NONE:
+        return -1
+    return int(first[tile]) + int(offset)
 
 
 @jit
@@ -101,7 +110,8 @@ def refine_lines(
     target_points: Array,
     target_normals: Array,
     tiles: Index,
-    pool: Index,
+    first: Index,
+    pool: Pool,
     layout: Layout,
     reach: float,
     agree: float,
@@ -141,7 +151,7 @@ def refine_lines(
                     continue
                 tx = c * normals[i, 0] - s * normals[i, 1]
                 ty = s * normals[i, 0] + c * normals[i, 1]
-                row = row_at(layer_of(tx, ty), iy, ix, tiles, pool)
+                row = row_at(layer_of(tx, ty), iy, ix, tiles, first, pool)
                 if row < 0:
                     continue
                 qx, qy = target_normals[row, 0], target_normals[row, 1]
@@ -212,7 +222,8 @@ def fit_scores(
     poses: Array,
     target_points: Array,
     tiles: Index,
-    pool: Index,
+    first: Index,
+    pool: Pool,
     free: NDArray[np.bool_],
     layout: Layout,
     scale: float,
@@ -240,14 +251,14 @@ def fit_scores(
                 continue
             tx = c * normals[i, 0] - s * normals[i, 1]
             ty = s * normals[i, 0] + c * normals[i, 1]
-            row = row_at(layer_of(tx, ty), iy, ix, tiles, pool)
+            row = row_at(layer_of(tx, ty), iy, ix, tiles, first, pool)
             if row >= 0:
                 distance = math.hypot(mx - target_points[row, 0], my - target_points[row, 1])
                 if distance < scale:
                     score += weights[i] * (1.0 - distance / scale)
                     continue
             if free[iy // 2, ix // 2]:
-                row = row_at(0, iy, ix, tiles, pool)
+                row = row_at(0, iy, ix, tiles, first, pool)
                 if row < 0 or clear < math.hypot(
                     mx - target_points[row, 0], my - target_points[row, 1]
                 ):
@@ -264,7 +275,8 @@ def cast_rays(
     target_points: Array,
     target_normals: Array,
     tiles: Index,
-    pool: Index,
+    first: Index,
+    pool: Pool,
     layout: Layout,
     reach: float,
     hit: float,
@@ -287,7 +299,7 @@ def cast_rays(
             if ix < 0 or iy < 0 or ix >= nx or iy >= ny:
                 t += cell
                 continue
-            row = row_at(0, iy, ix, tiles, pool)
+            row = row_at(0, iy, ix, tiles, first, pool)
             if row < 0:
                 t += reach - cell
                 continue
@@ -313,7 +325,8 @@ def look_around(
     turned: Array,
     target_points: Array,
     tiles: Index,
-    pool: Index,
+    first: Index,
+    pool: Pool,
     layout: Layout,
 ) -> tuple[Array, Array]:
     """Distances (n,), (n,) from each point to the nearest wall and to the nearest that faces its
@@ -329,13 +342,13 @@ def look_around(
         layer = layer_of(turned[i, 0], turned[i, 1])
         for iy in range(max(cy - 1, 0), min(cy + 2, ny)):
             for ix in range(max(cx - 1, 0), min(cx + 2, nx)):
-                row = row_at(0, iy, ix, tiles, pool)
+                row = row_at(0, iy, ix, tiles, first, pool)
                 if row >= 0:
                     d = math.hypot(
                         moved[i, 0] - target_points[row, 0], moved[i, 1] - target_points[row, 1]
                     )
                     any_way[i] = min(any_way[i], d)
-                row = row_at(layer, iy, ix, tiles, pool)
+                row = row_at(layer, iy, ix, tiles, first, pool)
                 if row >= 0:
                     d = math.hypot(
                         moved[i, 0] - target_points[row, 0], moved[i, 1] - target_points[row, 1]
@@ -348,28 +361,32 @@ def look_around(
 def match_signatures(
     sections: NDArray[np.int64],
     ranges: NDArray[np.float32],
-    places: NDArray[np.float32],
+    places: NDArray[np.uint16],
     shorter: np.float32,
     longer: np.float32,
     unseen: np.float32,
 ) -> NDArray[np.float32]:
     """(m, s) mean cost of each place and rotation, see :func:`rdnm.match`.
 
-    ``sections``, ``ranges`` (k,): the scan's seen sections; ``places`` (m, 2 s): the places'
-    signatures twice in a row, so that a rotation is an offset, -1 where the map knows nothing.
+    ``sections``, ``ranges`` (k,): the scan's seen sections; ``places`` (m, s): signatures in
+    millimetres, 0 where the map knows nothing.
     """
-    m, s = places.shape[0], places.shape[1] // 2
+    m, s = places.shape
     costs = np.zeros((m, s), dtype=np.float32)
+    # Twice in a row, so that a rotation is an offset.
+    twice = np.empty(2 * s, dtype=np.float32)
     for j in range(m):
         out = costs[j]
+        for r in range(s):
+            twice[r] = twice[r + s] = np.float32(1e-3) * np.float32(places[j, r])
         for k in range(sections.shape[0]):
             mine = ranges[k]
             # A slice starts anywhere without a test in the inner loop, which is so vectorised.
-            turned = places[j, sections[k] : sections[k] + s]
+            turned = twice[sections[k] : sections[k] + s]
             for r in range(s):
                 theirs = turned[r]
                 cost = abs(min(max(mine - theirs, -shorter), longer))
-                out[r] += unseen if theirs < np.float32(0.0) else cost
+                out[r] += unseen if theirs == np.float32(0.0) else cost
     costs /= np.float32(sections.shape[0])
     return costs
 
@@ -378,14 +395,14 @@ def match_signatures(
 def sum_field(
     offsets: Index,
     layers: Index,
-    values: NDArray[np.float32],
+    values: NDArray[np.int8],
     rows: Index,
     columns: Index,
     headings: Index,
 ) -> NDArray[np.float32]:
     """(m,) sum of the field's values under a scan's points at each of m places and headings.
 
-    ``values`` (5, ny, nx); ``offsets`` (h, n, 2) cells (row, column) from the robot to each
+    ``values`` (5, ny, nx) in hundredths; ``offsets`` (h, n, 2) cells (row, column) from the robot to each
     point at each heading, ``layers`` (h, n) the layer in which it is looked up; the m
     hypotheses stand in cells ``rows``, ``columns`` with heading number ``headings``.
     """
@@ -394,12 +411,12 @@ def sum_field(
     out = np.zeros(rows.shape[0], dtype=np.float32)
     for j in range(rows.shape[0]):
         h = headings[j]
-        total = np.float32(0.0)
+        total = 0
         for i in range(offsets.shape[1]):
             # Unsigned: what is left of or above the field is far right of or below it, too.
             iy = np.uint32(rows[j] + offsets[h, i, 0])
             ix = np.uint32(columns[j] + offsets[h, i, 1])
             if iy < ny and ix < nx:
                 total += flat[(np.uint32(layers[h, i]) * np.uint32(ny) + iy) * np.uint32(nx) + ix]
-        out[j] = total
+        out[j] = np.float32(0.01) * np.float32(total)
     return out

@@ -43,8 +43,10 @@ class Lookup:
     """Cells farther than this from all points know none."""
     tiles: NDArray[np.int32]
     """(5, ny / TILE, nx / TILE) the tile's number in ``pool``, or -1."""
-    pool: NDArray[np.int32]
-    """(tiles, TILE, TILE) rows of the target's points, or -1."""
+    first: NDArray[np.int32]
+    """(tiles,) the least row of the target's points that a tile knows."""
+    pool: NDArray[np.uint16]
+    """(tiles, TILE, TILE) rows of the target's points less the tile's first, or NONE."""
     free: NDArray[np.bool_]
     """(ny / 2, nx / 2) rays have passed here more often than they ended."""
 
@@ -70,7 +72,9 @@ class Lookup:
         where these are zero; -1 where there is none near."""
         iy, ix, inside = self.cells(points_m)
         tile = self.tiles[layers_of(normals), iy // TILE, ix // TILE]
-        return np.where(inside & (tile >= 0), self.pool[tile, iy % TILE, ix % TILE], np.int32(-1))
+        offset = self.pool[tile, iy % TILE, ix % TILE]
+        known = inside & (tile >= 0) & (offset != kernels.NONE)
+        return np.where(known, self.first[tile] + offset, np.int32(-1))
 
     def seen_free(self, points_m: Array) -> NDArray[np.bool_]:
         """(...) whether points (..., 2) lie where rays have passed."""
@@ -87,10 +91,22 @@ def layers_of(normals: Array) -> NDArray[np.int64]:
 
 
 def build(
-    points_m: Array, normals: Array, free_m: Array, free_cell_m: float, reach_m: float
+    points_m: Array,
+    normals: Array,
+    free_m: NDArray[np.float32] | Array,
+    free_cell_m: float,
+    reach_m: float,
 ) -> Lookup:
     """The look-up of wall points (n, 2), n > 0, with normals (n, 2), and of the centres (k, 2)
-    of cells of ``free_cell_m`` that were seen free. Its own cells are half of those."""
+    of cells of ``free_cell_m`` that were seen free. Its own cells are half of those.
+
+    The points are sorted by x, so that the rows that meet in a tile lie close together. Raises
+    ValueError where more than 65,534 points lie in a strip as wide as a tile and its reach.
+    """
+    strip_m = TILE * 0.5 * free_cell_m + 2.0 * reach_m
+    ahead = np.searchsorted(points_m[:, 0], points_m[:, 0] + strip_m)
+    if np.any(ahead - np.arange(len(points_m)) >= kernels.NONE):
+        raise ValueError("too many wall points in one strip of the map")
     everything = np.concatenate([points_m, free_m])
     low = everything.min(axis=0) - reach_m
     high = everything.max(axis=0) + reach_m
@@ -101,12 +117,13 @@ def build(
     tx, ty = (int(size / (TILE * cell_m)) + 1 for size in high - [x0, y0])
     layout = (x0, y0, cell_m)
     stamp = kernels.stamp_nearest if ENABLED else _stamp_in_numpy
-    tiles, pool = stamp(points_m, normals, layout, (ty, tx), reach_m, _WITHIN)
+    tiles, first, pool = stamp(points_m, normals, layout, (ty, tx), reach_m, _WITHIN)
     free = np.zeros((ty * TILE // 2, tx * TILE // 2), dtype=np.bool_)
     index = np.floor((free_m - [x0, y0]) / (2.0 * cell_m)).astype(np.int64)
     free[index[:, 1], index[:, 0]] = True
     return Lookup(
-        x0_m=x0, y0_m=y0, cell_m=cell_m, reach_m=reach_m, tiles=tiles, pool=pool, free=free
+        x0_m=x0, y0_m=y0, cell_m=cell_m, reach_m=reach_m, tiles=tiles, first=first, pool=pool,
+        free=free
     )  # fmt: skip
 
 
@@ -117,12 +134,13 @@ def _stamp_in_numpy(
     shape: tuple[int, int],
     reach: float,
     within: float,
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]:
     """What :func:`kernels.stamp_nearest` does, by k-d trees."""
     x0, y0, cell = layout
     ty, tx = shape
     tiles = np.full((5, ty, tx), -1, dtype=np.int32)
-    pool: list[NDArray[np.int32]] = []
+    first: list[int] = []
+    pool: list[NDArray[np.uint16]] = []
     centre = (np.arange(TILE) + 0.5) * cell
     corners_y, corners_x = (side.ravel() for side in np.mgrid[:ty, :tx])
     middles = (np.column_stack([corners_x, corners_y]) + 0.5) * TILE * cell + [x0, y0]
@@ -140,6 +158,9 @@ def _stamp_in_numpy(
             distance, row = tree.query(at, distance_upper_bound=reach)
             if np.isfinite(distance).any():
                 tiles[layer, corners_y[k], corners_x[k]] = len(pool)
-                row = np.asarray(row).clip(max=len(rows) - 1)
-                pool.append(np.where(np.isfinite(distance), rows[row], -1).astype(np.int32))
-    return tiles, np.array(pool, dtype=np.int32).reshape(-1, TILE, TILE)
+                row = rows[np.asarray(row).clip(max=len(rows) - 1)]
+                first.append(int(row[np.isfinite(distance)].min()))
+                row = np.where(np.isfinite(distance), row - first[-1], kernels.NONE)
+                pool.append(row.astype(np.uint16))
+    numbers = np.array(pool, dtype=np.uint16).reshape(-1, TILE, TILE)
+    return tiles, np.array(first, dtype=np.int32), numbers

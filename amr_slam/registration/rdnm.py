@@ -22,6 +22,9 @@ from amr_slam.registration.alignment import Target
 from amr_slam.registration.casting import ranges
 
 Single = NDArray[np.float32]
+Packed = NDArray[np.uint16]
+
+_MOST_MM = 65535
 
 # Candidates are worked off in blocks that keep the temporaries within the cache's reach.
 _BLOCK_ELEMENTS = 2_000_000
@@ -102,14 +105,14 @@ def of_scan(points_m: Array, params: RdnmParams) -> Array:
     """Signature (sections,) of a scan's points (n, 2) about the robot."""
     if params.signature == "rays":
         return medians(points_m, params)
-    return rdn(points_m, np.zeros((1, 2)), 0.0, params)[0]
+    return np.asarray(rdn(points_m, np.zeros((1, 2)), 0.0, params)[0])
 
 
-def of_map(target: Target, viewpoints_m: Array, params: RdnmParams) -> Array:
-    """Signatures (m, sections) of a map's walls seen from viewpoints (m, 2)."""
+def of_map(target: Target, viewpoints_m: Array, params: RdnmParams) -> Packed:
+    """Packed signatures (m, sections) of a map's walls seen from viewpoints (m, 2)."""
     if params.signature == "rays":
-        return views(target, viewpoints_m, params)
-    return rdn(target.points_m, viewpoints_m, target.spacing_m, params)
+        return pack(views(target, viewpoints_m, params))
+    return pack(rdn(target.points_m, viewpoints_m, target.spacing_m, params))
 
 
 def views(target: Target, viewpoints_m: Array, params: RdnmParams) -> Array:
@@ -155,13 +158,20 @@ def shift(signature: Array, r: int) -> Array:
     return np.roll(signature, -r, axis=-1)
 
 
-def match(h_x: Array, h_y: Array, params: RdnmParams) -> Single:
+def pack(signatures: Array) -> Packed:
+    """Signatures (m, sections) in whole millimetres, 0 where unknown: a quarter of the memory."""
+    known = np.isfinite(signatures)
+    millimetres = np.where(known, np.round(1e3 * signatures), 0.0)
+    return np.clip(millimetres, known, _MOST_MM).astype(np.uint16)
+
+
+def match(h_x: Array, h_y: Packed, params: RdnmParams) -> Single:
     """Cost (m, sections) in m of each candidate and each rotation; lower is better.
 
     ``h_x`` (sections,): the scan's signature about the robot; ``h_y`` (m, sections): the map's
-    about each candidate. Column ``r`` stands for the robot turned by ``r`` sections. Sections
-    that the scan does not see are masked: the 90 degrees behind a scanner are no evidence.
-    All inf where the scan sees nothing. (Algorithm 1, line 16, all at once.)
+    about each candidate, packed. Column ``r`` stands for the robot turned by ``r`` sections.
+    Sections that the scan does not see are masked: the 90 degrees behind a scanner are no
+    evidence. All inf where the scan sees nothing. (Algorithm 1, line 16, all at once.)
     """
     seen = np.flatnonzero(np.isfinite(h_x))
     if not len(seen) or not len(h_y):
@@ -169,12 +179,11 @@ def match(h_x: Array, h_y: Array, params: RdnmParams) -> Single:
     scan = h_x[seen].astype(np.float32)
     limits = np.array([params.shorter_m, params.longer_m, params.unseen_m], dtype=np.float32)
     if ENABLED:
-        places = np.where(np.isfinite(h_y), h_y, -1.0).astype(np.float32)
-        return kernels.match_signatures(seen, scan, np.hstack([places, places]), *limits)
-    return _match_in_numpy(seen, scan, h_y.astype(np.float32), limits)
+        return kernels.match_signatures(seen, scan, h_y, *limits)
+    return _match_in_numpy(seen, scan, h_y, limits)
 
 
-def _match_in_numpy(seen: NDArray[np.intp], scan: Single, h_y: Single, limits: Single) -> Single:
+def _match_in_numpy(seen: NDArray[np.intp], scan: Single, h_y: Packed, limits: Single) -> Single:
     sections = h_y.shape[1]
     # A robot turned by r sees in its section i what lies in the map's section i + r.
     turned = (seen[None, :] + np.arange(sections)[:, None]) % sections
@@ -182,16 +191,15 @@ def _match_in_numpy(seen: NDArray[np.intp], scan: Single, h_y: Single, limits: S
     block = max(1, _BLOCK_ELEMENTS // turned.size)
     shorter, longer, unseen_cost = limits
     for start in range(0, len(h_y), block):
-        cost = np.clip(scan - h_y[start : start + block][:, turned], -shorter, longer)
-        np.abs(cost, out=cost)
-        cost[~np.isfinite(cost)] = unseen_cost
-        costs[start : start + len(cost)] = cost.mean(axis=2)
+        theirs = h_y[start : start + block][:, turned]
+        cost = np.abs(np.clip(scan - np.float32(1e-3) * theirs, -shorter, longer))
+        costs[start : start + len(cost)] = np.where(theirs == 0, unseen_cost, cost).mean(axis=2)
     return costs
 
 
 def rdnm(
     h_x: Array,
-    h_y: Array,
+    h_y: Packed,
     candidates_m: Array,
     params: RdnmParams,
     *,
