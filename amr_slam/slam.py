@@ -7,6 +7,7 @@ with the evidence for each, and why nothing was accepted (:mod:`amr_slam.evidenc
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -30,6 +31,8 @@ __all__ = [
     "slam_rescue",
 ]
 
+# Around the prior most rough poses end in one place: two are enough to see a second one.
+_LOCAL_FINALISTS = 2
 # Half a metre of surface, in points of full weight: a post or a speck fits anywhere.
 _LEAST_WEIGHT = 10.0
 
@@ -46,7 +49,8 @@ def slam_relative(
     target = Y.target() if everywhere else Y.target(expected)
 
     rough = local_candidates(X, target, prior, params)
-    yield refine_and_decide(X, target, rough, params, Rung.RELATIVE, prior)
+    few = replace(params, finalists=_LOCAL_FINALISTS)
+    yield refine_and_decide(X, target, rough, few, Rung.RELATIVE, prior)
 
     drifted = cpd.align(X, Y.target(expected), expected, params.cpd).target_from_source
     # One start has no second place to stand out from: what drifted far is no local answer.
