@@ -19,11 +19,14 @@ from numpy.typing import NDArray
 from amr_slam.clouds import Cloud
 from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array, Pose2, wrap_angle
-from amr_slam.registration import kernels
+from amr_slam.registration import information, kernels, visible
 from amr_slam.registration.alignment import Alignment, Target
 
 # Below this many correspondences three unknowns are not determined by noisy points.
 _MIN_CORRESPONDENCES = 6
+# Noise across the walls at which a map from such scans blurs things of the size of furniture: its
+# square over this is how far a point may be off for that.
+_COARSE_M = 0.13
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,6 +88,35 @@ def align_many(
     return _conclude(source, target, refine(source, target, poses, params, prior), params)
 
 
+def polish(
+    source: Cloud,
+    target: Target,
+    alignment: Alignment,
+    params: IcpParams,
+    prior: Prior | None = None,
+) -> Alignment:
+    """The best place's last refinement, under noise: see :mod:`visible`. Where the scan is not
+    noisy, or the pose would leave its place, ``alignment`` is returned as it is."""
+    part = visible.share(source)
+    if params.metric != "line" or part == 0.0 or not alignment.converged or not len(target):
+        return alignment
+    start = alignment.target_from_source.as_array()
+    expected, known = start, np.zeros((3, 3))
+    if prior is not None:
+        expected, known = prior.target_from_source.as_array(), prior.information
+    variance = _variance(source, params)
+    step = visible.polish(source, target, start, variance, expected, known) - start
+    step[2] = wrap_angle(float(step[2]))
+    if np.abs(step).max() > _kernel(source, params):
+        return alignment
+    refined = Refined(
+        (start + part * step)[None],
+        np.array([alignment.iterations], dtype=np.int32),
+        np.array([True]),
+    )
+    return _conclude(source, target, refined, params)[0]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Refined:
     """Where k poses went."""
@@ -114,6 +146,7 @@ def refine(
                 target.points_m,
                 target.normals,
                 target.lookup.tiles,
+                target.lookup.first,
                 target.lookup.pool,
                 target.lookup.layout,
                 _reach(source, params),
@@ -143,9 +176,15 @@ def _widths(source: Cloud, params: IcpParams) -> Array:
     )  # fmt: skip
 
 
-def _variance(source: Cloud, params: IcpParams) -> float:
-    """Of one point's distance to its wall, as if neighbours that share an error were one."""
-    return params.correlation * max(source.across_m, params.sigma_floor_m) ** 2
+def _variance(source: Cloud, params: IcpParams, rmse_m: float = 0.0) -> float:
+    """Of one point's distance to its wall, as if the points were independent.
+
+    The noise is of each point alone, the map's error (at least what the noise leaves of the
+    residuals' ``rmse_m`` unexplained) is shared by neighbours: the larger of the two counts.
+    """
+    map_error = max(rmse_m**2 - source.across_m**2, params.sigma_floor_m**2)
+    blurred_m = source.across_m**2 / _COARSE_M
+    return max(params.correlation * map_error, 1.2 * source.across_m**2 + blurred_m**2)
 
 
 def _least_agreement(params: IcpParams) -> float:
@@ -280,12 +319,21 @@ def _conclude(
     inlier = pairs.valid & (residual <= kernel)
     count = inlier.sum(axis=1)
     rmse = np.sqrt(np.sum(np.where(inlier, residual**2, 0.0), axis=1) / np.maximum(count, 1))
-    sigma = np.maximum(np.maximum(rmse, source.across_m), params.sigma_floor_m)
-    hessian, _ = _normal_equations(poses, pairs, kernel)
+    residual = _dot(pairs.normals, pairs.moved - pairs.nearest)
+    weight = np.where(pairs.valid, 1.0 / (1.0 + (residual / kernel) ** 2) ** 2, 0.0)
+    hessian = [
+        information.of_points(
+            source.normals @ Pose2.from_array(poses[k]).rotation.T,
+            pairs.normals[k],
+            pairs.moved[k] - poses[k, :2],
+            weight[k],
+        )
+        for k in range(len(poses))
+    ]
     return [
         Alignment(
             target_from_source=Pose2.from_array(poses[k]),
-            information=hessian[k] / (params.correlation * sigma[k] ** 2),
+            information=hessian[k] / _variance(source, params, float(rmse[k])),
             converged=bool(refined.converged[k]) and int(count[k]) >= _MIN_CORRESPONDENCES,
             iterations=int(refined.iterations[k]),
             inliers=float(count[k]) / len(source),
