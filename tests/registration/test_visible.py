@@ -129,7 +129,7 @@ def test_noise_of_the_normals_makes_no_information_along_a_corridor() -> None:
     def noisy() -> Array:
         turn = math.radians(6.0) * rng.standard_normal(400)
         facing = np.repeat([1.0, -1.0], 200)
-        return np.column_stack([-np.sin(turn), np.cos(turn)]) * facing[:, None]
+        return np.asarray(np.column_stack([-np.sin(turn), np.cos(turn)]) * facing[:, None])
 
     of_map = noisy()
     found = information.of_points(noisy(), of_map, arms, np.ones(400))
