@@ -23,17 +23,15 @@ from amr_slam.registration import casting
 from amr_slam.registration.alignment import Target
 
 # A ray ends at a wall of the map with this probability, else it goes on to the next.
-_OPAQUE: Final = 0.5
+_OPAQUE: Final = 0.65
 _WALLS: Final = 3
 # Walls nearer behind one another are one, broken by the map's cells: at least this, in m.
 _THICKNESS_M: Final = 0.2
 # Probability density of a stray point, as a share of that of a point on its wall.
-_STRAY: Final = 0.05
+_STRAY: Final = 0.03
 # Rays to each side of a beam's own, half a standard deviation of the noise apart.
 _BESIDE: Final = 5
-_MOST_ITERATIONS: Final = 8
-# The rays are cast anew in these iterations: the pose hardly moves the walls that they meet.
-_CASTS: Final = (0, 3)
+_ITERATIONS: Final = 3
 # Noise across the walls at which this stage begins to count, and from which on it counts alone.
 _BEGIN_M, _ALONE_M = 0.015, 0.04
 
@@ -59,12 +57,13 @@ def polish(
     far = maximum_filter1d(reach, 2 * _BESIDE + 1) + 3.0 * source.sigma_m
     pose = start
     prior = np.asarray(np.eye(3) + known)  # a direction that nothing determines stays
-    for iteration in range(_MOST_ITERATIONS):
+    here = Pose2.from_array(pose)
+    # Cast once: the pose hardly moves, and the walls that the rays meet do not.
+    depths, lines = _walls(target, here @ source.origins_m, beams @ here.rotation.T, far)
+    for _ in range(_ITERATIONS):
         here = Pose2.from_array(pose)
         moved, origins = here @ source.points_m, here @ source.origins_m
         directions = beams @ here.rotation.T
-        if iteration in _CASTS:
-            depths, lines = _walls(target, origins, directions, far)
         equations = _equations if ENABLED else _equations_in_numpy
         hessian, gradient = equations(
             moved, origins, directions, strides, depths, lines, pose[:2],
@@ -74,8 +73,6 @@ def polish(
         off[2] = wrap_angle(float(off[2]))
         step = np.linalg.solve(hessian / variance + prior, gradient / variance + known @ off)
         pose = pose - np.clip(step, -0.2, 0.2)
-        if np.abs(step).max() < 5e-4 and iteration >= _CASTS[-1]:
-            break
     pose[2] = wrap_angle(float(pose[2]))
     return np.asarray(pose)
 
@@ -153,11 +150,11 @@ def _equations(  # noqa: PLR0917
             chance = math.exp(-0.5 * beside * beside)
             possible += chance
             for k in range(walls):
-                chance *= _OPAQUE
                 beyond = (depth - depths[j, k]) / along
                 if abs(beyond) < 4.0 and (lines[j, k, 0] != 0.0 or lines[j, k, 1] != 0.0):
-                    weights[a, k] = chance * math.exp(-0.5 * beyond * beyond)
+                    weights[a, k] = chance * _OPAQUE * math.exp(-0.5 * beyond * beyond)
                     total += weights[a, k]
+                chance *= 1.0 - _OPAQUE
         total += _STRAY * possible
         if total <= 0.0:
             continue
@@ -209,7 +206,7 @@ def _equations_in_numpy(  # noqa: PLR0917
     beyond = (depth[..., None] - depths[ray]) / along
     can = (np.abs(beyond) < 4.0) & np.any(line[..., :2] != 0.0, axis=3)
     weight = np.where(can, np.exp(-0.5 * np.where(can, beyond, 0.0) ** 2), 0.0)
-    weight *= chance[..., None] * _OPAQUE ** np.arange(1, walls + 1)
+    weight *= chance[..., None] * _OPAQUE * (1.0 - _OPAQUE) ** np.arange(walls)
     total = weight.sum(axis=(1, 2)) + _STRAY * chance.sum(axis=1)
     weight /= np.where(total > 0.0, total, 1.0)[:, None, None]
     residual = np.einsum("narc,nc->nar", line[..., :2], moved) - line[..., 2]
