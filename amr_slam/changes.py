@@ -10,7 +10,7 @@ import numpy as np
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
-from amr_slam.registration import casting, fit
+from amr_slam.registration import fit
 from amr_slam.registration.alignment import Target
 
 # The sector that is named holds this share of what contradicts: the rest are stray beams.
@@ -54,12 +54,12 @@ def compare(X: Cloud, target: Target, pose: Pose2) -> Change | None:
     if not len(X) or not len(target):
         return None
     moved = pose @ X.points_m
-    distance, _ = fit.distances(target, moved, X.normals @ pose.rotation.T)
+    distance = fit.distances(target, moved)
     clearance = fit.clearance(X)
     share = X.weights / X.weights.sum()
     appeared = target.lookup.seen_free(moved) & (distance > clearance)
     # Beams that graze a wall on the map's side pass it by their noise alone.
-    through = (_beyond_walls(X, target, pose) > 2.0 * clearance) & (distance > clearance)
+    through = (fit.beyond_walls(X, target, pose) > 2.0 * clearance) & (distance > clearance)
     wrong = appeared | through
     bearings = np.arctan2(X.points_m[:, 1], X.points_m[:, 0])
     return Change(
@@ -82,12 +82,3 @@ def sector(bearings_rad: Array, weights: Array) -> tuple[float, float]:
     end = np.searchsorted(sums, enough) - 1  # the row with which there is enough
     best = int(np.argmin(around[end] - around[begin]))
     return float(around[begin[best]]), float(around[end[best]])
-
-
-def _beyond_walls(X: Cloud, target: Target, pose: Pose2) -> Array:
-    """(n,) how much farther in m each beam went than the map's first wall in its way."""
-    beams = X.points_m - X.origins_m
-    reach = np.hypot(beams[:, 0], beams[:, 1])
-    directions = (beams / np.maximum(reach, 1e-9)[:, None]) @ pose.rotation.T
-    to_wall = casting.ranges(target, pose @ X.origins_m, directions, float(reach.max()) + 1.0)
-    return np.asarray(reach - to_wall)

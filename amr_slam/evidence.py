@@ -14,14 +14,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from amr_slam.clouds import Cloud
-from amr_slam.geometry import Array, Pose2
+from amr_slam.geometry import Pose2
 from amr_slam.params import Acceptance, Plausibility, SlamParams
-from amr_slam.registration import casting, fit
+from amr_slam.registration import fit
 from amr_slam.registration.alignment import Alignment, Target
 from amr_slam.registration.error import mean_below
 
 # Points this near to a wall lie in a known place.
 _REACH_M = 0.3
+
+# What a beam through a wall takes off the score. A part only: glass and railings are mapped, too.
+_PASSING = 0.3
 
 
 class Rung(enum.StrEnum):
@@ -48,7 +51,8 @@ class Hypothesis:
 
     alignment: Alignment
     score: float
-    """Mean fit of the scan's points, 1 on a wall to 0 off it, less the contradicting share."""
+    """Mean fit of the scan's points, 1 on a wall to 0 off it, less the share in conflict and a
+    part of that which passed walls."""
     inliers: float
     """Share of the points in known places that lie on walls."""
     known: float
@@ -98,35 +102,28 @@ class Answer:
 def assess(X: Cloud, target: Target, alignment: Alignment, params: SlamParams) -> Hypothesis:
     """How well the whole scan fits at one refined pose."""
     pose = alignment.target_from_source
-    moved, turned = pose @ X.points_m, X.normals @ pose.rotation.T
-    distance, alike = fit.distances(target, moved, turned)
+    moved = pose @ X.points_m
+    distance = fit.distances(target, moved)
     reach = max(params.fit_m, 3.0 * X.across_m)
     free = target.lookup.seen_free(moved) & (distance > fit.clearance(X))
     share = X.weights / X.weights.sum()
     known = float(share @ (free | (distance <= max(_REACH_M, 3.0 * X.across_m))))
     conflict = float(share @ free)
     on_wall = float(share @ (distance <= 0.5 * reach))
-    longer = _beyond_walls(X, target, pose)
+    longer = fit.beyond_walls(X, target, pose)
     tolerance = max(params.fit_m, 2.5 * X.sigma_m)
+    passes = float(share @ (longer > tolerance))
+    fits = float(share @ (1.0 - np.minimum(distance / reach, 1.0)))
     return Hypothesis(
         alignment=alignment,
-        score=float(share @ (1.0 - np.minimum(alike / reach, 1.0))) - conflict,
+        score=fits - conflict - _PASSING * passes,
         inliers=min(on_wall / max(known, 1e-9), 1.0),
         known=known,
         conflict=conflict,
-        passes=float(share @ (longer > tolerance)),
+        passes=passes,
         agreeing=float(share @ (np.abs(longer) <= tolerance)),
         e_psr_m=mean_below(distance),
     )
-
-
-def _beyond_walls(X: Cloud, target: Target, pose: Pose2) -> Array:
-    """(n,) how much farther each beam went than the map's first wall in its way."""
-    beams = X.points_m - X.origins_m
-    reach = np.hypot(beams[:, 0], beams[:, 1])
-    directions = (beams / np.maximum(reach, 1e-9)[:, None]) @ pose.rotation.T
-    to_wall = casting.ranges(target, pose @ X.origins_m, directions, float(reach.max()) + 1.0)
-    return np.asarray(reach - to_wall)
 
 
 def distinct(ranked: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

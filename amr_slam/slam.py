@@ -7,7 +7,6 @@ with the evidence for each, and why nothing was accepted (:mod:`amr_slam.evidenc
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,8 +30,8 @@ __all__ = [
     "slam_rescue",
 ]
 
-# Around the prior most rough poses end in one place: two are enough to see a second one.
-_LOCAL_FINALISTS = 2
+# Places that a quick rung examines: the best, and the second that it must stand out from.
+_FIRST_LOOK = 2
 # Half a metre of surface, in points of full weight: a post or a speck fits anywhere.
 _LEAST_WEIGHT = 10.0
 
@@ -49,15 +48,13 @@ def slam_relative(
     target = Y.target() if everywhere else Y.target(expected)
 
     rough = local_candidates(X, target, prior, params)
-    few = replace(params, finalists=_LOCAL_FINALISTS)
-    yield refine_and_decide(X, target, rough, few, Rung.RELATIVE, prior)
+    found = shortlist(X, target, rough, _FIRST_LOOK, params, prior)
+    yield examine(X, target, found, len(rough), Rung.RELATIVE, params, prior)
 
     drifted = cpd.align(X, Y.target(expected), expected, params.cpd).target_from_source
     # One start has no second place to stand out from: what drifted far is no local answer.
     near = drifted.distance_to(expected) <= params.rescue_m
-    yield refine_and_decide(
-        X, target, poses_of([drifted] if near else []), params, Rung.CPD
-    )  # fmt: skip
+    yield examine(X, target, poses_of([drifted] if near else []), 1, Rung.CPD, params)
 
     if everywhere:
         yield from slam_absolute_rungs(X, Y, params, np.array([expected.as_array()]))
@@ -93,16 +90,14 @@ def slam_absolute_rungs(
     places, h_y = Y.signatures(params.grid_m, params.robot_radius_m, params.rdnm)
     h_x = rdnm.of_scan(X.points_m, params.rdnm)
     rough = rdnm.rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
-    rough = np.concatenate([known, rough[:, :3]])
-    answer = refine_and_decide(X, target, rough, params, Rung.ABSOLUTE)
-    yield answer
+    found = shortlist(X, target, np.concatenate([known, rough[:, :3]]), params.finalists, params)
+    yield examine(X, target, found[:_FIRST_LOOK], len(rough), Rung.ABSOLUTE, params)
 
     if params.exhaustive.candidates:
-        found = poses_of([place.pose for place in answer.places])
         places = Y.places(params.exhaustive.spacing_m, params.robot_radius_m)
         more = field.search(X, Y.field(params.exhaustive), places, params.exhaustive)
-        rough = np.concatenate([found, more[:, :3]])
-        yield refine_and_decide(X, target, rough, params, Rung.EXHAUSTIVE)
+        found = shortlist(X, target, np.concatenate([found, more[:, :3]]), params.finalists, params)
+        yield examine(X, target, found, len(rough) + len(more), Rung.EXHAUSTIVE, params)
 
 
 def slam_rescue(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Answer:
@@ -115,7 +110,8 @@ def slam_rescue(X: Cloud, Y: PointMap, prior: Prior, params: SlamParams) -> Answ
     h_x = rdnm.of_scan(X.points_m, params.rdnm)
     h_y = rdnm.of_map(target, places, params.rdnm)
     rough = rdnm.rdnm(h_x, h_y, places, params.rdnm, best=params.absolute_candidates)
-    return refine_and_decide(X, target, rough[:, :3], params, Rung.RESCUE)
+    found = shortlist(X, target, rough[:, :3], params.finalists, params)
+    return examine(X, target, found, len(rough), Rung.RESCUE, params)
 
 
 def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams) -> Array:
@@ -147,34 +143,44 @@ def _window(half_m: Array, spacing_m: float) -> Array:
     return np.column_stack([x.ravel(), y.ravel()])
 
 
-def refine_and_decide(
+def shortlist(
     X: Cloud,
     target: Target,
     rough: Array,
+    most: int,
     params: SlamParams,
+    prior: Prior | None = None,
+) -> Array:
+    """The best ``most`` of rough poses (k, 3) that are distinct, best first: all are refined with
+    a part of the scan. Fewer than that come back as they are."""
+    if len(rough) <= most or cannot_register(X, target):
+        return rough
+    part = X.take(X.even(params.first_points))
+    coarse = icp.refine(part, target, rough, params.icp, prior).poses
+    scores = fit.scores(part, target, coarse, max(params.fit_m, 3.0 * X.across_m))
+    return _best_distinct(coarse, scores, most)
+
+
+def examine(
+    X: Cloud,
+    target: Target,
+    poses: Array,
+    candidates: int,
     rung: Rung,
+    params: SlamParams,
     prior: Prior | None = None,
 ) -> Answer:
-    """ICP from rough poses (k, 3), the scan's fit at the best results, and the verdict.
+    """ICP with the whole scan from poses (k, 3), the scan's fit at each result, and the verdict.
 
-    Many candidates are refined with a part of the scan first; the best distinct of them, the
-    finalists, with all of it.
-    """
+    ``candidates``: how many rough poses these were chosen from."""
     objection = cannot_register(X, target)
     if objection is not None:
         return unknown(objection, rung)
-    if not len(rough):
+    if not len(poses):
         return unknown("no candidate place", rung)
-    finalists = rough
-    if len(rough) > params.finalists:
-        part = X.take(X.even(params.first_points))
-        coarse = icp.refine(part, target, rough, params.icp, prior).poses
-        reach = max(params.fit_m, 3.0 * X.across_m)
-        scores = fit.scores(part, target, coarse, reach)
-        finalists = _best_distinct(coarse, scores, params.finalists)
-    alignments = icp.align_many(X, target, poses_from(finalists), params.icp, prior)
+    alignments = icp.align_many(X, target, poses_from(poses), params.icp, prior)
     tried = [assess(X, target, alignment, params) for alignment in alignments]
-    return decide(tried, len(rough), rung, params)
+    return decide(tried, candidates, rung, params)
 
 
 def _best_distinct(poses: Array, scores: Array, most: int) -> Array:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from amr_slam.clouds import Cloud
 from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array
-from amr_slam.registration import kernels, lookup
+from amr_slam.registration import kernels
 from amr_slam.registration.alignment import Target
 
 # What a point costs that stands in free space: people do, so it must not cost much.
@@ -48,14 +48,14 @@ class FieldParams:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Field:
-    """How near the walls are, for points that face each way."""
+    """How near the walls are."""
 
     x0_m: float
     y0_m: float
     cell_m: float
     values: NDArray[np.int8]
-    """(5, ny, nx) in hundredths: 100 on a wall of that layer (see :mod:`lookup`), 0 at reach or
-    beyond, and below 0 where the map saw free space and no wall is near."""
+    """(ny, nx) in hundredths: 100 on a wall, 0 at reach or beyond, and below 0 where the map saw
+    free space and no wall is near."""
 
 
 def build(target: Target, params: FieldParams) -> Field:
@@ -67,13 +67,11 @@ def build(target: Target, params: FieldParams) -> Field:
     x = grid.x0_m + (np.arange(nx) + 0.5) * cell_m
     y = grid.y0_m + (np.arange(ny) + 0.5) * cell_m
     centres = np.stack(np.meshgrid(x, y), axis=-1)
-    values = np.zeros((len(lookup.DIRECTIONS), ny, nx), dtype=np.int8)
-    for layer, direction in enumerate(lookup.DIRECTIONS):
-        row = grid.rows(centres, np.broadcast_to(direction, centres.shape))
-        off = target.points_m[row] - centres
-        value = np.clip(1.0 - np.hypot(off[..., 0], off[..., 1]) / params.reach_m, 0.0, 1.0)
-        values[layer] = np.round(np.where(row >= 0, 100.0 * value, 0.0))
-    values[:, grid.seen_free(centres) & (values[0] == 0)] = _FREE
+    row = grid.rows(centres, np.zeros_like(centres))
+    off = target.points_m[row] - centres
+    value = np.clip(1.0 - np.hypot(off[..., 0], off[..., 1]) / params.reach_m, 0.0, 1.0)
+    values = np.round(np.where(row >= 0, 100.0 * value, 0.0)).astype(np.int8)
+    values[grid.seen_free(centres) & (values == 0)] = _FREE
     return Field(x0_m=grid.x0_m, y0_m=grid.y0_m, cell_m=cell_m, values=values)
 
 
@@ -118,19 +116,15 @@ def _mean(
     theta = np.arange(params.headings)[:, None] * (math.tau / params.headings)
     c, s = np.cos(theta), np.sin(theta)
     px, py = source.points_m[chosen].T
-    nx, ny = source.normals[chosen].T
     offsets = np.stack([s * px + c * py, c * px - s * py], axis=2) / field.cell_m
-    turned = np.stack([c * nx - s * ny, s * nx + c * ny], axis=2)
     cells = np.round(offsets).astype(np.int32)
-    layers = lookup.layers_of(turned).astype(np.int32)
     sum_field = kernels.sum_field if ENABLED else _sum_in_numpy
-    total = sum_field(cells, layers, field.values, rows, columns, headings)
+    total = sum_field(cells, field.values, rows, columns, headings)
     return total / np.float32(len(chosen))
 
 
 def _sum_in_numpy(
     cells: NDArray[np.int32],
-    layers: NDArray[np.int32],
     values: NDArray[np.int8],
     rows: NDArray[np.int32],
     columns: NDArray[np.int32],
@@ -140,7 +134,6 @@ def _sum_in_numpy(
     out = np.zeros(len(rows), dtype=np.int32)
     for i in range(cells.shape[1]):
         iy, ix = rows + cells[headings, i, 0], columns + cells[headings, i, 1]
-        inside = (iy >= 0) & (ix >= 0) & (iy < values.shape[1]) & (ix < values.shape[2])
-        found = values[layers[headings, i], np.where(inside, iy, 0), np.where(inside, ix, 0)]
-        out += np.where(inside, found, 0)
+        inside = (iy >= 0) & (ix >= 0) & (iy < values.shape[0]) & (ix < values.shape[1])
+        out += np.where(inside, values[np.where(inside, iy, 0), np.where(inside, ix, 0)], 0)
     return np.float32(0.01) * out.astype(np.float32)

@@ -1,7 +1,7 @@
 """The loops of registration that pay to be compiled; each has a numpy twin where it is used.
 
 Plain loops over contiguous arrays, no fast-math. A look-up comes as its parts: ``tiles``,
-``first``, ``pool`` and ``layout`` (x0, y0, cell); compiled code takes arrays, numbers and tuples of them.
+``first``, ``pool`` and ``layout`` (x0, y0, cell); compiled code takes arrays, numbers and tuples.
 """
 
 from __future__ import annotations
@@ -217,7 +217,6 @@ def refine_lines(
 @jit
 def fit_scores(
     points: Array,
-    normals: Array,
     weights: Array,
     poses: Array,
     target_points: Array,
@@ -229,8 +228,8 @@ def fit_scores(
     scale: float,
     clear: float,
 ) -> Array:
-    """(k,) weighted mean fit of the points at each of k poses: 1 on a wall that faces the same
-    way, falling to 0 at ``scale``, and -1 in free space farther than ``clear`` from any wall."""
+    """(k,) weighted mean fit of the points at each of k poses: 1 on a wall, falling to 0 at
+    ``scale``, and -1 in free space farther than ``clear`` from any wall."""
     n, k = points.shape[0], poses.shape[0]
     ny, nx = tiles.shape[1] * TILE, tiles.shape[2] * TILE
     x0, y0, cell = layout
@@ -249,20 +248,14 @@ def fit_scores(
             iy = math.floor((my - y0) / cell)
             if ix < 0 or iy < 0 or ix >= nx or iy >= ny:
                 continue
-            tx = c * normals[i, 0] - s * normals[i, 1]
-            ty = s * normals[i, 0] + c * normals[i, 1]
-            row = row_at(layer_of(tx, ty), iy, ix, tiles, first, pool)
+            distance = np.inf
+            row = row_at(0, iy, ix, tiles, first, pool)
             if row >= 0:
                 distance = math.hypot(mx - target_points[row, 0], my - target_points[row, 1])
-                if distance < scale:
-                    score += weights[i] * (1.0 - distance / scale)
-                    continue
-            if free[iy // 2, ix // 2]:
-                row = row_at(0, iy, ix, tiles, first, pool)
-                if row < 0 or clear < math.hypot(
-                    mx - target_points[row, 0], my - target_points[row, 1]
-                ):
-                    score -= weights[i]
+            if distance < scale:
+                score += weights[i] * (1.0 - distance / scale)
+            elif free[iy // 2, ix // 2] and distance > clear:
+                score -= weights[i]
         scores[j] = score / total
     return scores
 
@@ -320,26 +313,23 @@ def cast_rays(
 
 
 @jit
-def look_around(
+def distances(
     moved: Array,
-    turned: Array,
     target_points: Array,
     tiles: Index,
     first: Index,
     pool: Pool,
     layout: Layout,
-) -> tuple[Array, Array]:
-    """Distances (n,), (n,) from each point to the nearest wall and to the nearest that faces its
-    way, inf beyond reach: the nearest of nine cells' nearest."""
+) -> Array:
+    """(n,) from each point to the nearest wall, inf beyond reach: the least to the nearest of
+    nine cells around it."""
     n = moved.shape[0]
     ny, nx = tiles.shape[1] * TILE, tiles.shape[2] * TILE
     x0, y0, cell = layout
-    any_way = np.full(n, np.inf)
-    same_way = np.full(n, np.inf)
+    out = np.full(n, np.inf)
     for i in range(n):
         cx = math.floor((moved[i, 0] - x0) / cell)
         cy = math.floor((moved[i, 1] - y0) / cell)
-        layer = layer_of(turned[i, 0], turned[i, 1])
         for iy in range(max(cy - 1, 0), min(cy + 2, ny)):
             for ix in range(max(cx - 1, 0), min(cx + 2, nx)):
                 row = row_at(0, iy, ix, tiles, first, pool)
@@ -347,14 +337,8 @@ def look_around(
                     d = math.hypot(
                         moved[i, 0] - target_points[row, 0], moved[i, 1] - target_points[row, 1]
                     )
-                    any_way[i] = min(any_way[i], d)
-                row = row_at(layer, iy, ix, tiles, first, pool)
-                if row >= 0:
-                    d = math.hypot(
-                        moved[i, 0] - target_points[row, 0], moved[i, 1] - target_points[row, 1]
-                    )
-                    same_way[i] = min(same_way[i], d)
-    return any_way, same_way
+                    out[i] = min(out[i], d)
+    return out
 
 
 @jit
@@ -394,7 +378,6 @@ def match_signatures(
 @jit
 def sum_field(
     offsets: Index,
-    layers: Index,
     values: NDArray[np.int8],
     rows: Index,
     columns: Index,
@@ -402,11 +385,11 @@ def sum_field(
 ) -> NDArray[np.float32]:
     """(m,) sum of the field's values under a scan's points at each of m places and headings.
 
-    ``values`` (5, ny, nx) in hundredths; ``offsets`` (h, n, 2) cells (row, column) from the robot to each
-    point at each heading, ``layers`` (h, n) the layer in which it is looked up; the m
-    hypotheses stand in cells ``rows``, ``columns`` with heading number ``headings``.
+    ``values`` (ny, nx) in hundredths; ``offsets`` (h, n, 2) cells (row, column) from the robot
+    to each point at each heading; the m hypotheses stand in cells ``rows``, ``columns`` with
+    heading number ``headings``.
     """
-    ny, nx = values.shape[1], values.shape[2]
+    ny, nx = values.shape
     flat = values.ravel()
     out = np.zeros(rows.shape[0], dtype=np.float32)
     for j in range(rows.shape[0]):
@@ -417,6 +400,6 @@ def sum_field(
             iy = np.uint32(rows[j] + offsets[h, i, 0])
             ix = np.uint32(columns[j] + offsets[h, i, 1])
             if iy < ny and ix < nx:
-                total += flat[(np.uint32(layers[h, i]) * np.uint32(ny) + iy) * np.uint32(nx) + ix]
+                total += flat[iy * np.uint32(nx) + ix]
         out[j] = np.float32(0.01) * np.float32(total)
     return out
