@@ -7,6 +7,7 @@ with the evidence for each, and why nothing was accepted (:mod:`amr_slam.evidenc
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -170,7 +171,8 @@ def examine(
     params: SlamParams,
     prior: Prior | None = None,
 ) -> Answer:
-    """ICP with the whole scan from poses (k, 3), the scan's fit at each result, and the verdict.
+    """ICP with the whole scan from poses (k, 3), the scan's fit at each result, and the verdict;
+    under noise, the best place once more by what its rays see.
 
     ``candidates``: how many rough poses these were chosen from."""
     objection = cannot_register(X, target)
@@ -180,7 +182,10 @@ def examine(
         return unknown("no candidate place", rung)
     alignments = icp.align_many(X, target, poses_from(poses), params.icp, prior)
     tried = [assess(X, target, alignment, params) for alignment in alignments]
-    return decide(tried, candidates, rung, params)
+    answer = decide(tried, candidates, rung, params)
+    best, *others = answer.places
+    exact = icp.polish(X, target, best.alignment, params.icp, prior)
+    return replace(answer, places=(replace(best, alignment=exact), *others))
 
 
 def _best_distinct(poses: Array, scores: Array, most: int) -> Array:
