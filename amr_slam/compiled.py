@@ -27,9 +27,19 @@ ENABLED: Final = numba is not None and os.environ.get("AMR_SLAM_COMPILED", "1") 
 def jit(function: Callable[_Args, _T]) -> Callable[_Args, _T]:
     """Compile on first call and keep the machine code on disk for the next start.
 
-    Floating point stays exact (no fast-math): NaN and inf mean what they mean in numpy.
+    The code is kept beside the module, or in ``NUMBA_CACHE_DIR``; where neither can be written,
+    each start compiles anew. Floating point stays exact (no fast-math): NaN and inf mean what
+    they mean in numpy.
     """
     if numba is None:
         return function
-    compiled: Callable[_Args, _T] = numba.njit(cache=True, error_model="numpy")(function)
+    try:
+        return _njit(function, cache=True)
+    except RuntimeError:  # no place to keep the code
+        return _njit(function, cache=False)
+
+
+def _njit(function: Callable[_Args, _T], *, cache: bool) -> Callable[_Args, _T]:
+    assert numba is not None
+    compiled: Callable[_Args, _T] = numba.njit(cache=cache, error_model="numpy")(function)
     return compiled

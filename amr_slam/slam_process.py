@@ -17,6 +17,7 @@ from pathlib import Path
 from amr_slam.engine import Mode, SlamEngine
 from amr_slam.map import MapError, PointMap, load_map, save_map
 from amr_slam.params import SlamParams
+from amr_slam.warming import warm_up
 
 _NICENESS = 5
 """The poses' process goes first where processors are few."""
@@ -82,6 +83,7 @@ def serve(pipe: Connection, job: SlamJob) -> None:
     except MapError as error:
         pipe.send(Refused(reason=str(error)))
         return
+    warm_up(job.params)
     engine = SlamEngine(job.params, grown, job.mode)
     keeper = _Keeper(job, grown)
     try:
