@@ -190,7 +190,6 @@ def plausibility(best: Hypothesis, margin: float, params: Plausibility) -> float
     evidence = (
         params.bias
         + params.margin * margin
-        + params.score * best.score
         + params.agreeing * best.agreeing
         + params.passes * best.passes
     )

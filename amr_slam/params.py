@@ -46,13 +46,11 @@ class Plausibility:
     believed elsewhere: ``docs/adr/0010-acceptance.md``.
     """
 
-    bias: float = -4.0
-    margin: float = 14.2
+    bias: float = -7.4
+    margin: float = 19.4
     """Of the lead over the second place: wrong places come in crowds."""
-    score: float = -3.5
-    """What a high score is worth beyond its lead: halls that repeat themselves fit well."""
-    agreeing: float = 7.9
-    passes: float = -13.0
+    agreeing: float = 7.6
+    passes: float = -4.0
     accept: Share = 0.95
     """Least odds at which one scan alone is believed."""
     sure: Share = 0.9999
