@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan
+from amr_slam.clouds import Cloud, CloudParams, cloud_from_points
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
@@ -101,8 +101,8 @@ class Scene:
         params: CloudParams | None = None,
     ) -> Cloud:
         """The same as a cloud in the base frame."""
-        scan = self.scan(model, pose, rng)
-        return cloud_from_scan(scan, model.base_from_lidar, params or CloudParams())
+        scan = self.scan(replace(model, sigma_xy_m=0.0), pose, rng)
+        return noisy_cloud(scan, model, rng, params or CloudParams())
 
     def map_at_truth(self, model: ScannerModel, params: SlamParams, seed: int = 0) -> PointMap:
         """The map from the mapping poses as they truly were; scans noisy as ``model`` says."""
@@ -111,6 +111,18 @@ class Scene:
         for pose in self.mapping:
             known.insert(self.cloud(model, pose, rng, params.clouds), pose)
         return known
+
+
+def noisy_cloud(
+    scan: Scan, model: ScannerModel, rng: np.random.Generator, params: CloudParams
+) -> Cloud:
+    """The paper's section 3.1 to the letter: noise of ``model.sigma_xy_m`` is added to both x and
+    y of each point of a scan without it."""
+    reach = np.where(np.isfinite(scan.ranges_m), scan.ranges_m, np.nan)[:, None]
+    angles = model.angles_rad
+    points = reach * np.column_stack([np.cos(angles), np.sin(angles)])
+    points = points + rng.normal(0.0, model.sigma_xy_m, points.shape)
+    return cloud_from_points(points, model.base_from_lidar, params, step_rad=model.angle_step_rad)
 
 
 def with_noise(sigma_xy_m: float, model: ScannerModel = S300) -> ScannerModel:

@@ -15,12 +15,12 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from amr_slam.clouds import Cloud, cloud_from_scan
+from amr_slam.clouds import Cloud
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.simulation import ScannerModel, blocked
-from amr_slam.studies.scenes import ROBOT_RADIUS_M, S300, Scene, is_right
+from amr_slam.studies.scenes import ROBOT_RADIUS_M, S300, Scene, is_right, noisy_cloud
 from amr_slam.studies.trials import Circumstances, Trial, localize
 
 UNMAPPED: Final = 0.3
@@ -90,10 +90,10 @@ def disturbed(
     params: SlamParams,
 ) -> Cloud:
     """The cloud seen from ``pose`` with as many beams blocked as the circumstances say."""
-    scan = scene.scan(model, pose, rng)
+    scan = scene.scan(replace(model, sigma_xy_m=0.0), pose, rng)
     if under.blocked > 0.0:
-        scan = blocked(scan, rng, under.blocked, model.sigma_xy_m)
-    return cloud_from_scan(scan, model.base_from_lidar, params.clouds)
+        scan = blocked(scan, rng, under.blocked)
+    return noisy_cloud(scan, model, rng, params.clouds)
 
 
 def right_places(
@@ -172,12 +172,12 @@ def half_map(
     """The map of a half: beams that end beyond ``cut_x`` are no measurement."""
     known = PointMap(params.map)
     for pose in half.mapping:
-        scan = half.scan(model, pose, rng)
+        scan = half.scan(replace(model, sigma_xy_m=0.0), pose, rng)
         bearing = (pose @ model.base_from_lidar).theta_rad + model.angles_rad
         with np.errstate(invalid="ignore"):
             inside = pose.x_m + scan.ranges_m * np.cos(bearing) < cut_x
         scan = replace(scan, ranges_m=np.where(inside, scan.ranges_m, np.nan))
-        known.insert(cloud_from_scan(scan, model.base_from_lidar, params.clouds), pose)
+        known.insert(noisy_cloud(scan, model, rng, params.clouds), pose)
     return known
 
 
