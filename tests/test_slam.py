@@ -19,11 +19,13 @@ from labs import (
     world_of,
 )
 
-from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan
+from amr_slam.clouds import Cloud, CloudParams, cloud_from_points, cloud_from_scan
+from amr_slam.engine import SlamEngine, SlamRequest
 from amr_slam.evidence import decide
 from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.map import MapParams, PointMap
 from amr_slam.params import SlamParams, preset
+from amr_slam.registration.field import FieldParams
 from amr_slam.registration.icp import Prior
 from amr_slam.samples import Scan
 from amr_slam.slam import (
@@ -170,11 +172,25 @@ def polar(ranges: Array) -> Cloud:
     return cloud_from_scan(scan, Pose2.identity(), CloudParams())
 
 
+def cartesian(points_m: Array) -> Cloud:
+    return cloud_from_points(points_m, Pose2.identity(), CloudParams(), step_rad=math.radians(0.5))
+
+
+def half_broken(points_m: Array) -> Array:
+    """The same with NaN and inf in every other row."""
+    broken = points_m.copy()
+    broken[::4, 0], broken[2::4, 1] = math.nan, math.inf
+    return broken
+
+
 WALL = world_of(np.array([[2.0, -4.0, 2.0, 4.0]]))
 DEGENERATE: dict[str, Callable[[], Cloud]] = {
     "empty": lambda: plain_cloud(np.empty((0, 2))),
     "no return": lambda: polar(np.full(541, math.inf)),
     "nan": lambda: polar(np.full(541, math.nan)),
+    "minus infinity": lambda: polar(np.full(541, -math.inf)),
+    "points that are none": lambda: cartesian(np.full((300, 2), math.nan)),
+    "infinitely far points": lambda: cartesian(np.full((300, 2), math.inf)),
     "three points": lambda: plain_cloud(np.array([[1.0, 0.0], [1.0, 0.1], [1.0, 0.2]])),
     "one point": lambda: plain_cloud(np.array([[1.0, 0.0]])),
     "all in one place": lambda: plain_cloud(np.full((100, 2), 1.5), weight=0.05),
@@ -183,6 +199,66 @@ DEGENERATE: dict[str, Callable[[], Cloud]] = {
     "a disc": lambda: polar(np.full(541, 1.0)),
     "noise": lambda: polar(np.random.default_rng(0).uniform(0.1, 20.0, 541)),
 }
+
+
+BLIND = (
+    "empty",
+    "no return",
+    "nan",
+    "minus infinity",
+    "points that are none",
+    "infinitely far points",
+    "three points",
+    "one point",
+    "dust on the window",
+)
+"""Those that show less than half a metre of surface."""
+
+
+@pytest.mark.parametrize("name", BLIND)
+def test_a_blind_scan_has_no_pose_and_a_reason(name: str) -> None:
+    cloud, grown, pose = DEGENERATE[name](), mapped_lab(0), tour_poses(0)[20]
+    answers = [slam_absolute(cloud, grown, PARAMS)]
+    for everywhere in (True, False):
+        answers += slam_relative(cloud, grown, prior_at(pose), PARAMS, everywhere=everywhere)
+    assert len(answers) >= 6
+    for answer in answers:
+        assert answer.verdict is Verdict.UNKNOWN, answer.rung
+        assert answer.places == ()
+        assert answer.odds == ()
+        assert answer.reason in {
+            "the scan is empty",
+            "the scan shows less than half a metre of surface",
+        }
+
+
+@pytest.mark.parametrize("name", BLIND)
+def test_a_blind_scan_is_no_fix_and_no_part_of_a_map(name: str) -> None:
+    cloud, pose = DEGENERATE[name](), tour_poses(0)[20]
+    finding = SlamEngine(PARAMS, mapped_lab(0), "localization")
+    grown = line_map()
+    mapping = SlamEngine(PARAMS, grown, "mapping")
+    points = len(grown)
+    expected = SlamRequest(cloud=cloud, map_from_base=pose, covariance=0.01 * np.eye(3))
+    for result in (
+        finding.update(expected),
+        finding.update(replace(expected, map_from_base=None, covariance=None)),
+        mapping.update(expected),
+    ):
+        assert result.fix is None
+        assert not result.inserted
+        assert result.answer.reason
+    assert len(grown) == points
+
+
+def test_what_is_left_of_a_broken_scan_still_finds_its_place() -> None:
+    truth = tour_poses(0)[30]
+    whole = cloud_at(lab(0), truth, np.random.default_rng(0), sigma_m=0.01)
+    cloud = cartesian(half_broken(whole.points_m))
+    assert np.all(np.isfinite(cloud.points_m))
+    assert np.all(np.isfinite(cloud.normals))
+    assert 0.3 * len(whole) < len(cloud) < 0.6 * len(whole)
+    assert_right(climbed(cloud, mapped_lab(0), prior_at(truth @ Pose2(0.1, 0.1, 0.1))), truth)
 
 
 @pytest.mark.parametrize("name", DEGENERATE)
@@ -210,8 +286,17 @@ def line_map() -> PointMap:
     return grown
 
 
-@pytest.mark.parametrize("grown", [PointMap(MapParams()), line_map()], ids=["empty", "line"])
-def test_a_map_that_tells_nothing_accepts_nothing(grown: PointMap) -> None:
+def speck_map() -> PointMap:
+    """All that was ever seen is a post."""
+    grown = PointMap(MapParams())
+    points = np.array([[1.0, 0.0], [1.0, 0.05], [1.0, 0.1]])
+    grown.insert(plain_cloud(points), Pose2.identity())
+    return grown
+
+
+@pytest.mark.parametrize("make", [lambda: PointMap(MapParams()), line_map, speck_map])
+def test_a_map_that_tells_nothing_accepts_nothing(make: Callable[[], PointMap]) -> None:
+    grown = make()
     pose = tour_poses(0)[20]
     full = cloud_at(lab(0), pose, np.random.default_rng(0), sigma_m=0.01)
     clouds = [full, *(DEGENERATE[name]() for name in ("empty", "three points", "nan"))]
@@ -263,6 +348,37 @@ def test_the_verdict_says_what_is_missing() -> None:
     assert 0.5 < answer.odds[0] < 0.6
     assert 0.9 < sum(answer.odds) <= 1.0
     assert answer.second is close
+
+
+def test_poses_that_are_told_are_tried_beside_what_is_found() -> None:
+    """Where earlier scans said that the robot may be: the search need not find it again."""
+    truth = tour_poses(0)[30]
+    cloud = cloud_at(lab(0), truth, np.random.default_rng(0), sigma_m=0.01)
+    blind = replace(PARAMS, absolute_candidates=1, exhaustive=replace(FieldParams(), candidates=0))
+    blocked = PointMap(MapParams())
+    # A map of walls without any place to stand: nothing but what is told can be tried.
+    blocked.insert(replace(cloud, origins_m=cloud.points_m), truth)
+    assert not len(blocked.places(PARAMS.grid_m, PARAMS.robot_radius_m))
+    assert slam_absolute(cloud, blocked, blind).reason == "no candidate place"
+    told = np.array([(truth @ Pose2(0.1, -0.1, 0.05)).as_array()])
+    answer = slam_absolute(cloud, blocked, blind, told)
+    assert answer.best is not None
+    assert answer.best.pose.distance_to(truth) < 0.02
+
+
+@pytest.mark.parametrize("place", [12, 40])
+def test_the_exhaustive_rung_is_climbed_only_in_doubt(place: int) -> None:
+    truth = tour_poses(0)[place]
+    cloud = cloud_at(lab(0), truth, np.random.default_rng(place), sigma_m=0.01)
+    assert slam_absolute(cloud, mapped_lab(0), PARAMS).rung is Rung.ABSOLUTE
+    doubting = replace(PARAMS, plausibility=replace(PARAMS.plausibility, sure=1.0))
+    answer = slam_absolute(cloud, mapped_lab(0), doubting)
+    assert answer.rung is Rung.EXHAUSTIVE
+    assert_right(answer, truth)
+    both = PARAMS.absolute_candidates + PARAMS.exhaustive.candidates
+    assert answer.candidates == both
+    without = replace(doubting, exhaustive=replace(FieldParams(), candidates=0))
+    assert slam_absolute(cloud, mapped_lab(0), without).rung is Rung.ABSOLUTE
 
 
 def test_the_papers_own_settings_work_near_the_prior() -> None:
