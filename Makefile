@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SECONDS ?= 60
 
-.PHONY: install demo test check bench clean lock
+.PHONY: install demo test check bench evaluate peers clean lock
 
 install: $(VENV)/.installed          ## .venv with amr-slam in it, as robots get it
 
@@ -37,11 +37,22 @@ check: $(VENV)/.dev                  ## style, types, layers
 bench: $(VENV)/.dev                  ## what is measured: side by side, never asserted
 	$(BIN)/python benchmarks/run.py
 
+$(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
+	@touch $@
+
+peers: $(VENV)/.peers                ## other registration libraries, for evaluate to compare with
+
+evaluate: $(VENV)/.dev               ## docs/evaluation.md anew: make evaluate LOGS=folder ARGS="--scale 0.1"
+	$(BIN)/python tools/evaluate.py $(if $(LOGS),--logs $(LOGS)) $(ARGS)
+
 lock: $(VENV)/.dev                   ## renew the pinned versions (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
 	  --no-emit-index-url --quiet pyproject.toml requirements-build.in -o requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
 	  --no-emit-index-url --quiet -c requirements.lock --group dev pyproject.toml -o requirements-dev.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	  --no-emit-index-url --quiet -c requirements-dev.lock --group peers -o requirements-peers.lock
 
 clean:
 	rm -rf $(VENV) build out *.egg-info

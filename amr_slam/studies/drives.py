@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from amr_slam.engine import SlamEngine, SlamResult
-from amr_slam.evaluation import absolute_trajectory_error, poses_at
+from amr_slam.evaluation import absolute_trajectory_error, align_se2, poses_at
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
@@ -68,6 +68,8 @@ class Survey:
     results: tuple[SlamResult, ...]
     path: Trajectory
     """map_from_base at each scan as the fusion had it once the scan was registered."""
+    map_from_start: Pose2
+    """How the map's frame lies to that of the true start pose, by all of the path."""
     ate_m: float
     """SE2-aligned root mean square distance of ``path``."""
     online_ate_m: float
@@ -135,11 +137,14 @@ def survey(driven: Drive, params: SlamParams) -> Survey:
         fused = localizer.filter.pose_at(stamp_ns) if localizer.filter else None
         if fused is not None:
             path.append((stamp_ns, fused[0].as_array()))
+    seen = _trajectory(path)
+    true, valid = poses_at(driven.truth, seen.stamps_ns)
     return Survey(
         known=engine.map,
         results=tuple(results),
-        path=_trajectory(path),
-        ate_m=_ate_m(_trajectory(path), driven.truth),
+        path=seen,
+        map_from_start=align_se2(true[valid], seen.poses[valid]),
+        ate_m=_ate_m(seen, driven.truth),
         online_ate_m=_ate_m(_trajectory(online), driven.truth),
     )
 

@@ -11,7 +11,7 @@ from amr_slam.studies.drives import Survey
 from amr_slam.studies.report import Effort, Section, Table
 from amr_slam.studies.table1 import SLAM_SIGMAS_M, surveyed, worlds
 
-_WORLDS: Final = 12
+_WORLDS: Final = 8
 
 
 def run(effort: Effort) -> Section:
