@@ -14,6 +14,8 @@ from amr_slam.compiled import ENABLED, jit
 from amr_slam.geometry import Array
 
 Image = NDArray[np.float32]
+# A climb ends with a step of less than this, in cells.
+_ARRIVED = 0.02
 
 
 def gaussian(sigma_cells: float) -> Image:
@@ -123,6 +125,8 @@ def _climb_loop(image: Image, starts: Array, bandwidth: float, iterations: int) 
             found[i, 0] += step * nx
             found[i, 1] += step * ny
             found[i, 2], found[i, 3], found[i, 4] = nx, ny, mass
+            if abs(step) < _ARRIVED:
+                break
     return found
 
 
@@ -157,4 +161,5 @@ def _climb_numpy(image: Image, starts: Array, bandwidth: float, iterations: int)
         step = sx * normal[:, 0] + sy * normal[:, 1]
         found[live, :2] += step[:, None] * normal
         found[live, 2:4], found[live, 4] = normal, mass
+        live = live[np.abs(step) >= _ARRIVED]
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -54,6 +54,9 @@ class Known:
 _NEAR_M = 3.0
 # Points this near to a wall lie in a known place.
 _REACH_M = 0.3
+# Where noise across the walls is more than this many cells, cells of twice the side hold as much.
+# So many scans must tell so: the change is for good.
+_COARSER, _COARSER_SCANS = 2.8, 5
 # Sums over a cell's points: weight; by weight x, y, cos 2phi, sin 2phi of the normal, sight x, y;
 # number.
 _CHANNELS = 8
@@ -132,6 +135,7 @@ class PointMap:
         self.path.append((cloud.stamp_ns, map_from_base))
         self.noises_m.append(cloud.sigma_m)
         self.rays.append(pack(cloud))
+        self._coarsen()
         forget(self.rays, [pose for _, pose in self.path], self.area_m2())
         self.revision += 1
 
@@ -144,6 +148,19 @@ class PointMap:
             if len(rays):
                 fresh.insert(rays.cloud(stamp_ns, sigma_m), pose)
         return fresh
+
+    def _coarsen(self) -> None:
+        """Keep the walls of noisy scans in half the digits, and in cells of twice the side where
+        noise leaves nothing to be told apart in them."""
+        if len(self.rays) < _COARSER_SCANS or not self._thins():
+            return
+        cell_m = self.walls.cell_m
+        if self.across_m > _COARSER * cell_m and 2.0 * cell_m <= self.params.free_cell_m:
+            walls = SparseGrid(2.0 * cell_m, _CHANNELS)
+            walls.add(walls.keys_of(self.walls.centres()), self.walls.sums)
+            self.params = replace(self.params, cell_m=walls.cell_m)
+            self.walls, self._deconvolution = walls, None
+        self.walls.sums = cast("Array", self.walls.sums.astype(np.float32, copy=False))
 
     def _carve(self, points: Array, origins: Array, sigma_m: float) -> None:
         """Count the cells that this scan's rays passed through, and those in which they ended."""
@@ -185,45 +202,48 @@ class PointMap:
         if self._thins():
             latest = self._latest_target()
             near = _near(latest.points_m, centre, radius_m)
-            walls = replace(latest, points_m=latest.points_m[near], normals=latest.normals[near])
-        else:
-            near = _near(self.walls.centres(), centre, radius_m)
-            walls = self._plain(np.flatnonzero(near))
-        free = self._free_cells()
-        return self._in_space(walls, free[_near(free, centre, radius_m)])
+            free = latest.free_m[_near(latest.free_m, centre, radius_m)]
+            points_m, normals = latest.points_m[near], latest.normals[near]
+            return replace(latest, points_m=points_m, normals=normals, free_m=free)
+        near = _near(self.walls.centres(), centre, radius_m)
+        free_m = self._free_cells()
+        return self._in_space(
+            self._plain(np.flatnonzero(near)), free_m[_near(free_m, centre, radius_m)]
+        )
 
     def _thins(self) -> bool:
         """Whether walls are lines found in bands (noisy scans), or the cells' mean points."""
         return self.params.thin and self.sigma_m > self.params.noisy_m
 
-    def _whole_target(self) -> Target:
+    def _whole_target(self, *, growing: bool = False) -> Target:
         if self._whole is None or self._whole[0] != self.revision:
-            walls = self._settled() if self._thins() else self._plain(np.arange(len(self.walls)))
+            everything = np.arange(len(self.walls))
+            walls = self._settled(growing=growing) if self._thins() else self._plain(everything)
             self._whole = (self.revision, self._in_space(walls, self._free_cells()))
         return self._whole[1]
 
-    def _latest_target(self) -> Target:
+    def _latest_target(self, *, growing: bool = True) -> Target:
         """All walls, at the cost of one scan where :meth:`_whole_target` settles them anew."""
         for known in (self._whole, self._latest):
             if known is not None and known[0] == self.revision:
                 return known[1]
         if self._deconvolution is None or not self._thins():
-            return self._whole_target()
+            return self._whole_target(growing=growing)
         if self._changed is not None and self._deconvolution.fits(self.walls, self.across_m):
             ridges = self._deconvolution.follow(self.walls, self.across_m, *self._changed)
             self._changed = None
-            walls = self._in_space(self._lines(ridges), self._free_cells())
-        else:
-            walls = self._whole_target()
-        self._latest = (self.revision, walls)
-        return walls
+            self._latest = (self.revision, self._in_space(self._lines(ridges), self._free_cells()))
+            return self._latest[1]
+        return self._whole_target(growing=growing)
 
-    def _settled(self) -> Target:
+    def _settled(self, *, growing: bool) -> Target:
+        """The thin walls; ``growing``: what follows them with the next scan is kept too, which a
+        map that is only localized in has no use for."""
         deconvolution = Deconvolution(self.params.cell_m)
         if not deconvolution.fits(self.walls, self.across_m):
             return self._plain(np.arange(len(self.walls)))
         ridges = deconvolution.settle(self.walls, self.across_m)
-        self._deconvolution, self._changed = deconvolution, None
+        self._deconvolution, self._changed = deconvolution if growing else None, None
         return self._lines(ridges)
 
     def _lines(self, ridges: Array) -> Target:
@@ -297,7 +317,7 @@ class PointMap:
         # A grid cell counts where a fair part of its area was seen free.
         enough = 0.3 * (spacing_m / self.space.cell_m) ** 2
         centres = grid.centres()[grid.sums[:, 0] >= enough]
-        walls = self._latest_target()
+        walls = self._latest_target(growing=False)
         if len(walls):
             clearance = np.asarray(
                 walls.tree.query(centres, distance_upper_bound=robot_radius_m)[0]
@@ -338,6 +358,6 @@ class PointMap:
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _near(points: Array, centre: Pose2, radius_m: float) -> NDArray[np.bool_]:
+def _near(points: Array | NDArray[np.float32], centre: Pose2, radius_m: float) -> NDArray[np.bool_]:
     distance = np.hypot(points[:, 0] - centre.x_m, points[:, 1] - centre.y_m)
     return np.asarray(distance <= min(radius_m, math.inf))

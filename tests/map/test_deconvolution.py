@@ -9,6 +9,7 @@ from labs import cloud_at, covered_poses, lab, room, tour_poses
 from amr_slam.clouds import CloudParams, cloud_from_scan
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import MapParams, PointMap
+from amr_slam.map.file import decode, encode
 from amr_slam.registration.error import nearest
 from amr_slam.simulation import ScannerModel, cast, take_scan
 
@@ -125,3 +126,35 @@ def test_exact_scans_are_left_alone() -> None:
         for pose in SPOTS[:4]:
             one.insert(cloud_at(room(), pose, rng, sigma_m=0.01), pose)
     np.testing.assert_array_equal(grown.target().points_m, plain.target().points_m)
+
+
+@pytest.mark.parametrize(("sigma", "cell_m"), [(0.01, 0.05), (0.1, 0.05), (0.3, 0.1)])
+def test_noisy_maps_keep_their_walls_in_less_memory(sigma: float, cell_m: float) -> None:
+    """Coarser cells under heavy noise; what was counted stays, and a saved map settles alike."""
+    grown = noisy_room(sigma, SPOTS)
+    assert grown.walls.cell_m == grown.params.cell_m == cell_m
+    assert grown.walls.sums.dtype == (np.float64 if sigma < 0.02 else np.float32)
+    rng, returns = np.random.default_rng(0), 0
+    for pose in SPOTS:
+        returns += len(cloud_at(room(), pose, rng, sigma_xy_m=sigma))
+    assert float(grown.walls.sums[:, 7].sum()) == returns
+    loaded, _ = decode(encode(grown)[0])
+    np.testing.assert_array_equal(loaded.target().points_m, grown.target().points_m)
+    extra = cloud_at(room(), SPOTS[3], rng, sigma_xy_m=sigma)
+    for one in (grown, loaded):
+        one.insert(extra, SPOTS[3])
+    np.testing.assert_array_equal(loaded.target().points_m, grown.target().points_m)
+
+
+def test_a_map_that_is_only_localized_in_keeps_no_image() -> None:
+    grown = noisy_room(0.1, SPOTS)
+    settled = grown.target()
+    grown.places(0.5, 0.3)
+    assert grown._deconvolution is None
+    # The next scan finds what it needs: the walls are settled anew, then followed.
+    rng = np.random.default_rng(1)
+    for pose in SPOTS[:2]:
+        grown.insert(cloud_at(room(), pose, rng, sigma_xy_m=0.1), pose)
+        latest = grown.target(pose)
+    assert grown._deconvolution is not None
+    assert np.percentile(nearest(latest.points_m, settled.tree), 90) < 0.05
