@@ -57,7 +57,7 @@ class TrackingParams:
     """A robot that does not move is located when so many scans in a row were each accepted alone
     with odds of ``sure`` for the same place: who may not drive unlocated cannot fetch a second
     view. They guard against passers-by, not against a building that looks alike."""
-    overlap: Annotated[float, Gt(0.0), Le(1.0)] = 0.5
+    overlap: Annotated[float, Gt(0.0), Le(1.0)] = 0.4
     """Exponent on what each view after the first says: neighbouring views share most of their
     walls, and with them their errors."""
     alike: Annotated[float, Ge(1.0)] = 2.0

@@ -97,8 +97,8 @@ def run(effort: Effort) -> Section:
             f"poses, expected pose off by 0.1 m and 3 degrees (1 sigma).\n\n"
             f"`paper` is the letter of the algorithms (one candidate, point-to-point ICP, union of "
             f"scans) in maps made at true poses, which favours it; *own map* is made by SLAM from "
-            f"scratch ({min(_OWN, len(seeds))} of the worlds), its frame laid on the world's by the "
-            f"whole path. The printed success is of 10 set-ups judged by eye."
+            f"scratch ({min(_OWN, len(seeds))} of the worlds), its frame laid on the world's by "
+            f"the whole path. The printed success is of 10 set-ups judged by eye."
         ),
         tables=(_side_by_side(measured), _acceptance(measured)),
         pictures=(_figure3(seeds[0]),),
