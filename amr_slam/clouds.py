@@ -51,6 +51,8 @@ class Cloud:
     weights: Array
     """(n,) in (0, 1]: how much surface the point stands for, full at 5 cm between beams. Near
     things fill many beams: counted plainly, two legs outweigh a wall."""
+    scanners: NDArray[np.int8]
+    """(n,) number of the scanner that saw the point: each is a witness of its own."""
     sigma_m: float
     """Noise of one range, estimated from the scan itself."""
     across_m: float
@@ -60,6 +62,7 @@ class Cloud:
     def __post_init__(self) -> None:
         for name in ("points_m", "normals", "origins_m", "weights"):
             object.__setattr__(self, name, readonly(getattr(self, name)))
+        self.scanners.flags.writeable = False
 
     def __len__(self) -> int:
         return len(self.points_m)
@@ -72,6 +75,7 @@ class Cloud:
             normals=self.normals[rows],
             origins_m=self.origins_m[rows],
             weights=self.weights[rows],
+            scanners=self.scanners[rows],
             sigma_m=self.sigma_m,
             across_m=self.across_m,
         )
@@ -203,7 +207,7 @@ def cloud_from_points(
         nothing = np.empty(0)
         return Cloud(
             stamp_ns=stamp_ns, points_m=points, normals=points, origins_m=origins,
-            weights=nothing, sigma_m=0.0, across_m=0.0,
+            weights=nothing, scanners=np.empty(0, dtype=np.int8), sigma_m=0.0, across_m=0.0,
         )  # fmt: skip
     # Neighbours are counted in beams, so that a gap of missing returns separates surfaces.
     spread = np.full((every, 2), np.nan)
@@ -229,6 +233,7 @@ def cloud_from_points(
         normals=np.where(known[:, None], normals, 0.0)[keep],
         origins_m=origins[keep],
         weights=np.clip(spacing[beams] / _FULL_WEIGHT_M, 0.01, 1.0)[keep],
+        scanners=np.zeros(int(keep.sum()), dtype=np.int8),
         sigma_m=sigma_m,
         across_m=_spread(bends * steepness[1:-1]),
     )
@@ -260,6 +265,7 @@ def merge(clouds: Sequence[tuple[Cloud, Pose2]]) -> Cloud:
         normals=np.concatenate([cloud.normals @ pose.rotation.T for cloud, pose in clouds]),
         origins_m=np.concatenate([pose @ cloud.origins_m for cloud, pose in clouds]),
         weights=np.concatenate([cloud.weights for cloud, _ in clouds]),
+        scanners=np.repeat(np.arange(len(clouds), dtype=np.int8), [len(c) for c, _ in clouds]),
         sigma_m=max(cloud.sigma_m for cloud, _ in clouds),
         across_m=max(cloud.across_m for cloud, _ in clouds),
     )

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Pose2
@@ -23,6 +24,8 @@ from amr_slam.registration.error import mean_below
 # Points this near to a wall lie in a known place.
 _REACH_M = 0.3
 
+# A scanner that sees less of the scan's surface than this is too little of a witness.
+_WITNESS = 0.2
 # What a beam through a wall takes off the score. A part only: glass and railings are mapped, too.
 _PASSING = 0.3
 
@@ -62,7 +65,8 @@ class Hypothesis:
     passes: float
     """Share of the beams that went through a wall of the map before they ended."""
     agreeing: float
-    """Share of the beams that end where the map's first wall is."""
+    """Share of the beams that end where the map's first wall is; with two scanners, which are two
+    witnesses, that of the one that agrees less."""
     e_psr_m: float
     """Registration error, eq. 1."""
 
@@ -121,9 +125,17 @@ def assess(X: Cloud, target: Target, alignment: Alignment, params: SlamParams) -
         known=known,
         conflict=conflict,
         passes=passes,
-        agreeing=float(share @ (np.abs(longer) <= tolerance)),
+        agreeing=_least_witness(X, np.abs(longer) <= tolerance),
         e_psr_m=mean_below(distance),
     )
+
+
+def _least_witness(X: Cloud, agrees: NDArray[np.bool_]) -> float:
+    """Least share of a scanner's surface that agrees, of those that saw a fair part of it."""
+    seen = np.bincount(X.scanners, X.weights)
+    agreed = np.bincount(X.scanners, X.weights * agrees, len(seen))
+    heard = seen >= _WITNESS * seen.sum()
+    return float(np.min(agreed[heard] / seen[heard]))
 
 
 def distinct(ranked: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:

@@ -138,6 +138,7 @@ def plain_cloud(
         normals=np.zeros_like(points_m) if normals is None else normals,
         origins_m=np.zeros_like(points_m),
         weights=np.full(len(points_m), weight),
+        scanners=np.zeros(len(points_m), dtype=np.int8),
         sigma_m=sigma_m,
         across_m=sigma_m,
     )

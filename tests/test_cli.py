@@ -381,7 +381,7 @@ def test_map_info(hall: Hall) -> None:
     assert facts == {
         "uuid": str(map_id),
         "name": "run",
-        "format": 1,
+        "format": 2,
         "bytes": hall.map.stat().st_size,
         "scans": len(known.path),
         "points": len(known),

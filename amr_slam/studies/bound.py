@@ -212,10 +212,11 @@ map is as good as that, so a ratio of 1 also asks for a map without error.
 
 Errors count where the answer was right (0.25 m, 5°), accepted or not; the table says how many, and
 where they are fewer, the ratio flatters. The noise is added to both coordinates of each point; the
-registration does not know the beams' angles, by which it could take off the part across them. NEES and `error95_m` are those of
-the registration's covariance, before the fusion inflates it. Intervals come from resampling whole
-worlds, because scans in one map share its errors. Columns x, y, heading: RMSE over bound of that
-axis alone. An honest covariance has a mean NEES of 3, below 7.81 in 95 % of the cases."""
+registration does not know the beams' angles, by which it could take off the part across them. NEES
+and `error95_m` are those of the registration's covariance, before the fusion inflates it. Intervals
+come from resampling whole worlds, because scans in one map share its errors. Columns x, y, heading:
+RMSE over bound of that axis alone. An honest covariance has a mean NEES of 3, below 7.81 in 95 % of
+the cases."""
 
 
 def _accuracy(sigma_m: float, whole: Localized, parts: Sequence[Localized]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paths import SHARED
 
 from amr_slam.clouds import CloudParams
 from amr_slam.geometry import Pose2
@@ -30,7 +31,6 @@ from amr_slam.studies.real_passes import (
 from amr_slam.studies.real_queries import ask, choose, evidence
 from amr_slam.studies.report import Effort
 from amr_slam.studies.scenes import S300, laboratory_scene
-from tests.paths import SHARED
 
 LOGS = SHARED / "data/logs"
 SECOND_NS = 1_000_000_000
