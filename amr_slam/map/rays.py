@@ -56,6 +56,8 @@ class Rays:
             normals=np.where(known[:, None], normals, 0.0),
             origins_m=np.asarray(self.origins * self.quantum_m, dtype=np.float64),
             weights=np.maximum(self.weights, 1) / 255.0,
+            # Who saw it matters where a place is sought, not where a map is made.
+            scanners=np.zeros(len(self), dtype=np.int8),
             sigma_m=sigma_m,
             across_m=self.across_m,
         )
