@@ -1,6 +1,6 @@
 """The point-cloud map: what was seen where, how it grows, and its file."""
 
 from amr_slam.map.file import MapError, load_map, save_map
-from amr_slam.map.pointmap import Known, MapParams, PointMap
+from amr_slam.map.pointmap import MapParams, PointMap
 
-__all__ = ["Known", "MapError", "MapParams", "PointMap", "load_map", "save_map"]
+__all__ = ["MapError", "MapParams", "PointMap", "load_map", "save_map"]

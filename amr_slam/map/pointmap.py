@@ -40,20 +40,8 @@ class MapParams:
     """False keeps the band (the paper's union of scans)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Known:
-    """What the map says about a scan's points, row-aligned with them."""
-
-    free: NDArray[np.bool_]
-    """(n,) the point lies where rays have passed and no wall is near: a contradiction."""
-    known: NDArray[np.bool_]
-    """(n,) the map knows the place at all: free or near a wall."""
-
-
 # Nearer than this, a point counts in full.
 _NEAR_M = 3.0
-# Points this near to a wall lie in a known place.
-_REACH_M = 0.3
 # Where noise across the walls is more than this many cells, cells of twice the side hold as much.
 # So many scans must tell so: the change is for good.
 _COARSER, _COARSER_SCANS = 2.8, 5
@@ -283,19 +271,6 @@ class PointMap:
         passed = np.where(cell >= 0, self.space.sums[cell, 0], 0.0)
         ended = np.where(cell >= 0, self.space.sums[cell, 1], 0.0)
         return np.asarray(passed > self.params.vanish_ratio * np.maximum(ended, 1.0))
-
-    def known(self, points_m: Array, distance_m: Array) -> Known:
-        """What the map knows at points (n, 2) of the map frame, ``distance_m`` (n,) from the
-        nearest wall point."""
-        cell = self.space.find(self.space.keys_of(points_m))
-        if len(self.space):
-            passed = np.where(cell >= 0, self.space.sums[cell, 0], 0.0)
-            ended = np.where(cell >= 0, self.space.sums[cell, 1], 0.0)
-        else:
-            passed = ended = np.zeros(len(points_m))
-        clear = 0.25 + 3.0 * self.sigma_m
-        free = (passed > ended) & (distance_m > clear)
-        return Known(free=free, known=free | (distance_m <= _REACH_M))
 
     def places(self, spacing_m: float, robot_radius_m: float) -> Array:
         """Grid points (m, 2) every ``spacing_m`` on seen-free cells where the robot fits.

@@ -158,22 +158,21 @@ def test_a_part_of_the_map_is_that_part() -> None:
     assert np.hypot(*(part - centre.translation).T).max() < 3.05
 
 
-def test_known_tells_walls_free_space_and_the_unseen_apart() -> None:
-    grown = scanned(room(), PLACES)
+def test_free_space_walls_and_the_unseen_are_told_apart() -> None:
+    target = scanned(room(), PLACES).target()
     points = np.array([[4.0, 3.0], [4.0, 0.02], [4.0, -3.0], [100.0, 100.0]])
-    seen = grown.known(points, nearest(points, grown.target().tree))
-    np.testing.assert_array_equal(seen.free, [True, False, False, False])
-    np.testing.assert_array_equal(seen.known, [True, True, False, False])
+    free = target.lookup.seen_free(points)
+    np.testing.assert_array_equal(free, [True, False, False, False])
 
 
 def test_scans_at_their_own_pose_contradict_nothing() -> None:
     rng = np.random.default_rng(2)
-    grown = mapped_lab(1)
+    target = mapped_lab(1).target()
     for pose in covered_poses(1, 5):
         moved = pose @ cloud_at(lab(1), pose, rng, sigma_m=0.01).points_m
-        seen = grown.known(moved, nearest(moved, grown.target().tree))
-        assert seen.free.mean() < 0.02
-        assert seen.known.mean() > 0.9
+        distance = nearest(moved, target.tree)
+        assert np.mean(target.lookup.seen_free(moved) & (distance > 0.25)) < 0.02
+        assert np.mean(distance < 0.3) > 0.9
 
 
 def test_an_empty_map_answers_too() -> None:
@@ -185,8 +184,6 @@ def test_an_empty_map_answers_too() -> None:
     assert grown.signatures(0.5, 0.3, RdnmParams())[1].shape[0] == 0
     assert grown.bounds() == (0.0, 0.0, 0.0, 0.0)
     assert grown.area_m2() == 0.0
-    seen = grown.known(np.zeros((3, 2)), np.full(3, math.inf))
-    assert not seen.known.any()
 
 
 @settings(derandomize=True, deadline=None, max_examples=30)
