@@ -15,7 +15,7 @@ import numpy as np
 
 from amr_slam.changes import Change, compare
 from amr_slam.clouds import Cloud
-from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, objection, unknown
+from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, apart, objection, unknown
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
@@ -80,14 +80,18 @@ class SlamEngine:
         if self.mode == "mapping" and not len(self.map) and request.map_from_base is not None:
             return self._found(request)
         prior = _prior(request)
-        climbed = tuple(self._climb(request, prior))
-        answer = self._choose(climbed)
+        vague = prior is not None and self._vague(prior)
+        climbed = tuple(self._climb(request, prior, vague=vague))
+        answer = self._choose(climbed, vague=vague)
         fix = None
         believed = False
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
             fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
             believed = prior is not None and _compatible(fix, prior)
-        inserted = self.mode == "mapping" and self._grow(request, answer, believed=believed)
+        new = fix is None and self._new_territory(climbed[0])
+        inserted = self.mode == "mapping" and self._grow(
+            request, answer, believed=believed, new=new
+        )
         result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
         return replace(result, change=self._compare(cloud, climbed[0] if fix is None else answer))
 
@@ -98,7 +102,12 @@ class SlamEngine:
             return None
         return compare(cloud, self.map.target(), answer.best.pose)
 
-    def _climb(self, request: SlamRequest, prior: Prior | None) -> Iterator[Answer]:
+    def _vague(self, prior: Prior) -> bool:
+        """Mapping: the robot may be outside the window in which the first rung looks."""
+        deviations = np.sqrt(np.diag(inverse_matrix(prior.information)))
+        return self.mode == "mapping" and bool(np.any(3.0 * deviations > self.params.window_max))
+
+    def _climb(self, request: SlamRequest, prior: Prior | None, *, vague: bool) -> Iterator[Answer]:
         """One answer a rung, up to the first that ends the search."""
         cloud = request.cloud
         if prior is None:
@@ -113,17 +122,41 @@ class SlamEngine:
         for answer in rungs:
             ended_s = time.perf_counter()
             yield replace(answer, elapsed_s=ended_s - begun_s)
-            if self._settles(answer) or self._new_territory(answer):
+            if not vague and self._ends(answer):
                 return
             begun_s = ended_s
 
-    def _choose(self, climbed: Sequence[Answer]) -> Answer:
+    def _choose(self, climbed: Sequence[Answer], *, vague: bool) -> Answer:
         last = climbed[-1]
-        if self._settles(last) or self._new_territory(last):
+        if not vague and self._ends(last):
             return last
         # A poor fit near the expected pose counts once the search around found nothing better.
         accepted = [answer for answer in climbed if answer.verdict is Verdict.ACCEPTED]
-        return max(accepted, key=_score, default=last)
+        answer = max(accepted, key=_score, default=last)
+        best = answer.best
+        if best is None or not accepted or self.mode == "localization":
+            return answer
+        # ... "Nothing" includes what no rung would accept: a map never forgets a wrong pose.
+        places = [place for one in climbed for place in one.places]
+        others = [place.score for place in places if apart(place.pose, best.pose)]
+        margin = best.score - max(others, default=-math.inf)
+        if margin >= (self.params.rescue.margin if vague else 0.0):
+            return answer
+        return replace(
+            answer,
+            verdict=Verdict.AMBIGUOUS,
+            margin=margin,
+            reason=f"another rung's place fits about as well (margin {margin:.2f})",
+        )
+
+    def _ends(self, answer: Answer) -> bool:
+        """Whether no further rung is needed. In new territory the little that is known must fit:
+        otherwise the wheels may have slipped, and it is no new territory."""
+        if self._settles(answer):
+            return True
+        best = answer.best
+        fits = best is not None and objection(best, self.params.settled) is None
+        return fits and self._new_territory(answer)
 
     def _settles(self, answer: Answer) -> bool:
         if answer.verdict is not Verdict.ACCEPTED or answer.best is None:
@@ -143,7 +176,7 @@ class SlamEngine:
 
     def _new_territory(self, answer: Answer) -> bool:
         """Mapping: the scan overlaps too little with the map to say anything. That is no
-        failure, and no reason to search elsewhere."""
+        failure: it joins the map where the wheels say, unless the search finds it elsewhere."""
         best = answer.best
         return (
             self.mode == "mapping"
@@ -152,11 +185,11 @@ class SlamEngine:
             and best.known < self.params.relative.known
         )
 
-    def _grow(self, request: SlamRequest, answer: Answer, *, believed: bool) -> bool:
+    def _grow(self, request: SlamRequest, answer: Answer, *, believed: bool, new: bool) -> bool:
         pose = None
         if believed and answer.best is not None:
             pose = answer.best.pose
-        elif self._new_territory(answer):
+        elif new:
             pose = request.map_from_base
         if pose is None or not self._moved(pose):
             return False
