@@ -19,11 +19,11 @@ _BEAMS = 360
 
 
 def warm_up(params: SlamParams) -> None:
-    """Map a small room with exact and with noisy scans, and localize in it."""
+    """Map a small room with exact, noisy and very noisy scans, and localize in it."""
     if not ENABLED:
         return
     rng = np.random.default_rng(0)
-    for sigma_m in (0.0, 0.1):
+    for sigma_m in (0.0, 0.1, 0.3):
         engine = SlamEngine(params, PointMap(params.map), "mapping")
         for step in range(3):
             pose = Pose2(0.3 * step, 0.1 * step, 0.2 * step)
@@ -50,3 +50,7 @@ def _request(
     cloud = cloud_from_points(points, Pose2.identity(), params, step_rad=step_rad)
     covariance = np.diag([0.05**2, 0.05**2, 0.03**2])
     return SlamRequest(cloud=cloud, map_from_base=pose, covariance=covariance)
+
+
+if __name__ == "__main__":  # the installation's last step: no start has to compile any more
+    warm_up(SlamParams())
