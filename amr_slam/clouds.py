@@ -94,15 +94,6 @@ class Cloud:
         return np.asarray(np.any(self.normals != 0.0, axis=1))
 
 
-def range_noise(ranges_m: Array, step_rad: float) -> float:
-    """Standard deviation of one range in m, from neighbouring triples of ranges (n,).
-
-    The median absolute deviation ignores corners and gaps; NaN and inf are skipped. 0 where fewer
-    than 8 triples tell.
-    """
-    return _spread(_bends(ranges_m, step_rad))
-
-
 def _bends(ranges_m: Array, step_rad: float) -> Array:
     """(n - 2,) by how much each inner range leaves the straight wall through its neighbours.
 
@@ -116,6 +107,11 @@ def _bends(ranges_m: Array, step_rad: float) -> Array:
 
 
 def _spread(bends: Array) -> float:
+    """Standard deviation in m of one range, from what :func:`_bends` returned.
+
+    The median absolute deviation ignores corners and gaps; NaN and inf are skipped. 0 where fewer
+    than 8 triples tell.
+    """
     bends = bends[np.isfinite(bends)]
     if len(bends) < 8:
         return 0.0
