@@ -48,11 +48,11 @@ evaluate: $(VENV)/.dev               ## docs/evaluation.md anew: make evaluate L
 	$(BIN)/python tools/evaluate.py $(if $(LOGS),--logs $(LOGS)) $(ARGS)
 
 lock: $(VENV)/.dev                   ## renew the pinned versions (needs uv)
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \
 	  --no-emit-index-url --quiet pyproject.toml requirements-build.in -o requirements.lock
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \
 	  --no-emit-index-url --quiet -c requirements.lock --group dev pyproject.toml -o requirements-dev.lock
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \
 	  --no-emit-index-url --quiet -c requirements-dev.lock --group peers -o requirements-peers.lock
 
 clean:

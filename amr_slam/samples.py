@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -104,6 +105,38 @@ class SlamPose:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", readonly(self.covariance))
+
+
+class Way(enum.StrEnum):
+    """Which way raw bytes went."""
+
+    RECEIVED = "received"
+    SENT = "sent"
+    GAP = "gap"
+    """No bytes: what came before them and what comes after them do not belong together."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawBytes:
+    """What a device's line carried in one piece: a read of a stream, a datagram, a request.
+
+    In the order in which a driver's decoder got them they give the same scans again.
+    """
+
+    device: str
+    """Name in the configuration."""
+    stamp_ns: int
+    """When the piece was received or sent."""
+    way: Way
+    data: bytes = b""
+
+
+Tap = Callable[[RawBytes], object]
+"""Takes a copy of all that passes on a device's line; returns at once; any thread."""
+
+
+def untapped(_raw: RawBytes) -> None:
+    """The tap of who records nothing."""
 
 
 class Outcome(enum.StrEnum):

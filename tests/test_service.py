@@ -211,7 +211,7 @@ import dataclasses
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
     reason: str = ""
-def open_scanner(name, settings):
+def open_scanner(name, settings, tap):
     if settings.reason:
         raise ValueError(settings.reason)
     raise KeyError("a fault of the program")

@@ -175,7 +175,7 @@ class Script:
         self.opened = 0
         self.closed = 0
 
-    def open_scanner(self, _name: str, settings: object) -> Device:
+    def open_scanner(self, _name: str, settings: object, _tap: object) -> Device:
         return self.open_odometry(settings)
 
     def open_odometry(self, _settings: object) -> Device:

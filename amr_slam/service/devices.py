@@ -24,7 +24,9 @@ from amr_slam.samples import (
     OdometrySource,
     Scan,
     Scanner,
+    Tap,
     WheelSample,
+    untapped,
 )
 
 _log = logging.getLogger(__name__)
@@ -222,14 +224,16 @@ class ScannerThread(DeviceThread[Scan]):
         settings: ScannerSettings,
         sink: Callable[[Scan | DeviceEnded], object],
         reconnect_max_s: float,
+        tap: Tap = untapped,
     ) -> None:
         super().__init__(settings.name, sink, reconnect_max_s, _SCANS_STALE_S)
+        self._tap: Tap = tap
         self._settings = settings
         self._thinning = Thinning(settings.poll_period_s)
 
     def _open(self) -> Scanner:
         module = registry.scanner_module(self._settings.driver)
-        self._scanner = module.open_scanner(self._settings.name, self._settings.options)
+        self._scanner = module.open_scanner(self._settings.name, self._settings.options, self._tap)
         return self._scanner
 
     def _read(self) -> Scan | None:

@@ -6,9 +6,11 @@ A plug-in names its module under ``amr_slam.scanners`` or ``amr_slam.odometry``:
     acme_lidar = "acme_amr.lidar"
 
 The module has a frozen dataclass ``Settings`` (str, int, float, bool, Literal and further frozen
-dataclasses only: the configuration checks it generically) and ``open_scanner(name, settings)`` or
-``open_odometry(settings)``. It is imported when its name is asked for, not before: nobody needs
-the libraries of a device that he does not have.
+dataclasses only: the configuration checks it generically) and ``open_scanner(name, settings, tap)``
+or ``open_odometry(settings)``. A scanner's module may have ``scan_decoder(name, settings,
+start_ns)`` as well (:class:`amr_drivers.background.ScanDecoder`): then recordings of its bytes can
+be replayed. A module is imported when its name is asked for, not before: nobody needs the
+libraries of a device that he does not have.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import importlib
 from importlib.metadata import entry_points
 from typing import Any, Protocol, cast
 
-from amr_slam.samples import OdometrySource, Scanner
+from amr_slam.samples import OdometrySource, Scanner, Tap
 
 _SCANNERS = {
     "mock": "amr_drivers.mock.scanner",
@@ -38,8 +40,11 @@ class ScannerModule(Protocol):
     @property
     def Settings(self) -> type[Any]: ...  # noqa: N802 - a class in the module
 
-    def open_scanner(self, name: str, settings: Any) -> Scanner:
-        """Raises DriverError: not there; ValueError: settings that can never work."""
+    def open_scanner(self, name: str, settings: Any, tap: Tap = ...) -> Scanner:
+        """``tap`` is given all bytes of the device as they come and go, for recordings.
+
+        Raises DriverError: not there; ValueError: settings that can never work.
+        """
 
 
 class OdometryModule(Protocol):

@@ -14,7 +14,7 @@ from amr_drivers.emulators.s300 import EmulatedS300, S300Model
 from amr_drivers.errors import LinkLost
 from amr_drivers.sick_s300.driver import S300, Settings, open_scanner
 from amr_drivers.sick_s300.telegrams import Output, Telegram, encode
-from amr_drivers.sick_s300.timing import ArrivalClock
+from amr_drivers.timing import ArrivalClock
 from amr_slam.geometry import Array
 from amr_slam.samples import Scan
 

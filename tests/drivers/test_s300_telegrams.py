@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from paths import SHARED
 
 from amr_drivers.errors import BadTelegram
+from amr_drivers.sick_s300.scan_counter import ScanCounter
 from amr_drivers.sick_s300.telegrams import (
     LENGTH_RULES,
     MAX_LENGTH,
@@ -27,7 +28,6 @@ from amr_drivers.sick_s300.telegrams import (
     standby_words,
     words_from_ranges,
 )
-from amr_drivers.sick_s300.timing import ScanCounter
 
 BEAMS = 40  # short telegrams let hypothesis hit every byte
 RULES = [(version, rule) for version, rules in LENGTH_RULES.items() for rule in rules]

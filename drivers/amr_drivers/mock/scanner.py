@@ -14,7 +14,7 @@ from annotated_types import Ge, Gt, Le
 from amr_drivers.mock.stage import STAGES
 from amr_drivers.playing import Hold, deadline_ns
 from amr_slam.geometry import Pose2
-from amr_slam.samples import DeviceInfo, Scan
+from amr_slam.samples import DeviceInfo, Scan, Tap, untapped
 from amr_slam.simulation import ScannerModel
 
 
@@ -35,7 +35,7 @@ class Settings:
     """Standard deviation of a range."""
 
 
-def open_scanner(name: str, settings: Settings) -> MockScanner:
+def open_scanner(name: str, settings: Settings, _tap: Tap = untapped) -> MockScanner:
     """Put a scanner onto the simulated robot, which is made when it is the first."""
     return MockScanner(name, settings)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from amr_drivers.replay.player import Track
-from amr_slam.samples import DeviceInfo, Scan
+from amr_slam.samples import DeviceInfo, Scan, Tap, untapped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -18,7 +18,7 @@ class Settings:
     """The scanner's name in the recording; empty: the same as in the configuration."""
 
 
-def open_scanner(name: str, settings: Settings) -> ReplayScanner:
+def open_scanner(name: str, settings: Settings, _tap: Tap = untapped) -> ReplayScanner:
     """Start the recording, or join those who play it. Raises ValueError: damaged, no such name."""
     return ReplayScanner(name, settings)
 

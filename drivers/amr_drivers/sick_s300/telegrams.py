@@ -2,7 +2,7 @@
 
 Source: protocol fact sheet, sections A.2 to A.5 and A.8. Sizes are big-endian words, everything
 else little-endian; the scan number's order differs between sources and is found from the stream
-(:class:`amr_drivers.sick_s300.timing.ScanCounter`).
+(:class:`amr_drivers.sick_s300.scan_counter.ScanCounter`).
 
 A damaged telegram passes a 16-bit CRC once in 65 536 times. So that it does not become a scan, a
 telegram must also have a known address, version and output, a length that its size field allows,

@@ -1,4 +1,4 @@
-"""Scan numbers, and when a scan was measured from when its telegram arrived. Pure.
+"""When bytes arrived, and from that when a scan was measured. Pure.
 
 A telegram can arrive late (USB adapters hold bytes back, threads wait) but never early. The
 scanner's mirror turns evenly and its scan number counts the turns, so that all arrivals lie on or
@@ -8,7 +8,6 @@ above a line over the scan number; the lowest ones tell where the line is (fact 
 from __future__ import annotations
 
 from collections import deque
-from typing import Literal
 
 import numpy as np
 
@@ -22,6 +21,26 @@ _MAX_STEP = 1000
 _NUMBERS = 2**32
 _MAX_DOUBTFUL = 20
 """More old telegrams than this cannot wait in a serial port (16 were counted)."""
+
+
+class Arrivals:
+    """When each byte of a stream arrived; memory of the pieces that may still matter."""
+
+    def __init__(self) -> None:
+        self._pieces: deque[tuple[int, int]] = deque()
+
+    def add(self, position: int, stamp_ns: int) -> None:
+        """The bytes from ``position`` of the stream on arrived at ``stamp_ns``."""
+        self._pieces.append((position, stamp_ns))
+
+    def at(self, offset: int) -> int:
+        """When the byte at ``offset`` of the stream arrived; forgets what came before it.
+
+        One piece must have been added.
+        """
+        while len(self._pieces) > 1 and self._pieces[1][0] <= offset:
+            self._pieces.popleft()
+        return self._pieces[0][1]
 
 
 class ArrivalClock:
@@ -104,36 +123,3 @@ class ArrivalClock:
 def _slope(x: Array, y: Array) -> float:
     spread = x - x.mean()
     return float(spread @ y / (spread @ spread))
-
-
-class ScanCounter:
-    """Reads the scan number, whose byte order the sources disagree about (A.2).
-
-    In consecutive telegrams the number grows by little: the order in which it does is the right
-    one. A number that later grows by little in the other order only changes the verdict.
-    """
-
-    def __init__(self) -> None:
-        self._last: bytes | None = None
-        self._order: _Order | None = None
-
-    def repeats(self, raw: bytes) -> bool:
-        """True when these bytes are the last telegram's: a scanner that does not scan anew."""
-        return raw == self._last
-
-    def read(self, raw: bytes) -> int | None:
-        """The number in four bytes as sent; None while the order is not known."""
-        if self._last is not None:
-            little, big = (0 < _step(self._last, raw, order) <= _MAX_STEP for order in _ORDERS)
-            if little != big:
-                self._order = "little" if little else "big"
-        self._last = raw
-        return None if self._order is None else int.from_bytes(raw, self._order)
-
-
-_Order = Literal["little", "big"]
-_ORDERS: tuple[_Order, _Order] = ("little", "big")
-
-
-def _step(last: bytes, raw: bytes, order: _Order) -> int:
-    return (int.from_bytes(raw, order) - int.from_bytes(last, order)) % 2**32

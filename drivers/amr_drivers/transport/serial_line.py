@@ -1,8 +1,4 @@
-"""Serial lines and TCP byte streams with time-outs, and nothing else.
-
-The only module with pyserial or sockets. Traps that it covers are listed in the protocol fact
-sheet, section F.
-"""
+"""Serial ports, and serial ports behind a converter on the network."""
 
 from __future__ import annotations
 
@@ -38,7 +34,7 @@ class ByteStream:
             # The lock on the port is advisory, but it stops a second copy of this program from
             # stealing every other byte.
             self._port = serial.serial_for_url(
-                port, baudrate=baud_rate, timeout=_SLICE_S, exclusive=True
+                port, baudrate=baud_rate, timeout=_SLICE_S, write_timeout=1.0, exclusive=True
             )
         except ValueError as error:
             raise ValueError(f"{port}: {error}") from error
@@ -60,6 +56,18 @@ class ByteStream:
             data = self._read_slice()
             if data or time.monotonic() >= deadline:
                 return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of it; a line that takes nothing for 1 s is lost. Raises LinkLost.
+
+        Waits for a read in another thread, 0.1 s at most.
+        """
+        with self._reading:
+            self._refuse_closed()
+            try:
+                self._port.write(data)
+            except OSError as error:  # pyserial's time-out for writing is one of them
+                raise LinkLost(f"{self._port_name}: {error}") from error
 
     def discard_input(self) -> None:
         """Throw away all bytes that wait to be read. Raises LinkLost."""
