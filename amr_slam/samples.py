@@ -10,7 +10,7 @@ import enum
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -114,6 +114,8 @@ class Way(enum.StrEnum):
     SENT = "sent"
     GAP = "gap"
     """No bytes: what came before them and what comes after them do not belong together."""
+    OPENED = "opened"
+    """No bytes: the driver is being opened (anew); what it knew of the device begins here."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,11 +133,32 @@ class RawBytes:
     data: bytes = b""
 
 
-Tap = Callable[[RawBytes], object]
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawFrame:
+    """One CAN frame as it came from the bus."""
+
+    device: str
+    stamp_ns: int
+    """When it was received."""
+    arbitration_id: int
+    extended: bool = False
+    """The identifier has 29 bits, not 11."""
+    remote: bool = False
+    error: bool = False
+    """The adapter's report of a bus error: ``arbitration_id`` is its class."""
+    data: bytes = b""
+
+
+Raw = RawBytes | RawFrame
+
+Tap = Callable[[Raw], object]
 """Takes a copy of all that passes on a device's line; returns at once; any thread."""
 
+WHEELS: Final = "wheels"
+"""What the odometry is called where devices are named; no scanner may have this name."""
 
-def untapped(_raw: RawBytes) -> None:
+
+def untapped(_raw: Raw) -> None:
     """The tap of who records nothing."""
 
 

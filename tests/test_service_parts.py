@@ -175,10 +175,10 @@ class Script:
         self.opened = 0
         self.closed = 0
 
-    def open_scanner(self, _name: str, settings: object, _tap: object) -> Device:
-        return self.open_odometry(settings)
+    def open_scanner(self, _name: str, settings: object, tap: object) -> Device:
+        return self.open_odometry(settings, tap)
 
-    def open_odometry(self, _settings: object) -> Device:
+    def open_odometry(self, _settings: object, _tap: object) -> Device:
         self.opened += 1
         connection = self.connections.pop(0) if self.connections else LinkLost("gone for good")
         if isinstance(connection, Exception):

@@ -6,17 +6,19 @@ import argparse
 import logging
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
+from amr_drivers.decoding import with_decoded
 from amr_slam.cli.outputs import UsageError
-from amr_slam.config import Config, ConfigError, load
+from amr_slam.config import Config, ConfigError, load, recorded_settings
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Mounting
 from amr_slam.map import MapError
 from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry
 from amr_slam.params import SlamParams, preset
-from amr_slam.recording import Log, RecordingError, Sample, read_log
+from amr_slam.recording import Log, RecordedDevice, RecordingError, Sample, read_log
 from amr_slam.replay import thin_scans
 from amr_slam.samples import OdometrySample, Scan, WheelSample
 
@@ -57,7 +59,7 @@ class Source:
 def open_source(arguments: argparse.Namespace) -> Source:
     """Read configuration and log. Raises what is in FAILURES."""
     config = load(arguments.config) if arguments.config is not None else None
-    log = read_log(arguments.log)
+    log = _read(arguments.log)
     if not any(isinstance(sample, Scan) for sample in log.samples):
         raise RecordingError(f"{arguments.log}: holds no scan")
     return Source(
@@ -68,6 +70,28 @@ def open_source(arguments: argparse.Namespace) -> Source:
         config=config,
         slam=config.slam if config is not None else preset(arguments.preset),
     )
+
+
+def _read(path: Path) -> Log:
+    """The log; where it has the devices' bytes, with what the drivers make of them."""
+    log = read_log(path)
+    if log.about is not None:
+        begun = datetime.fromtimestamp(log.about.utc_ns // 1_000_000_000, UTC)
+        _log.info(
+            "%s: recorded by robot %s, amr-slam %s, %s",
+            *(path, log.about.robot, log.about.version, begun.isoformat()),
+        )
+    try:
+        return with_decoded(log, _settings)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from error
+
+
+def _settings(device: RecordedDevice) -> object:
+    try:
+        return recorded_settings(device)
+    except ConfigError as error:
+        raise RecordingError(f"/raw/{device.name}: settings: {error}") from error
 
 
 def _mountings(

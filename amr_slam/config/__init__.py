@@ -6,11 +6,13 @@ from amr_slam.config.tree import (
     MapSettings,
     MountingSettings,
     OdometrySettings,
+    RecordingSettings,
     RobotSettings,
     ScannerSettings,
     ServiceSettings,
     load,
     parse,
+    recorded_settings,
 )
 
 __all__ = [
@@ -19,9 +21,11 @@ __all__ = [
     "MapSettings",
     "MountingSettings",
     "OdometrySettings",
+    "RecordingSettings",
     "RobotSettings",
     "ScannerSettings",
     "ServiceSettings",
     "load",
     "parse",
+    "recorded_settings",
 ]

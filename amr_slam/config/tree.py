@@ -19,6 +19,7 @@ from annotated_types import Ge, Gt, Interval, Len
 from pydantic import AfterValidator
 
 from amr_drivers import registry
+from amr_drivers.decoding import module_of
 from amr_slam.config.checking import ConfigError, checked, located, read_toml, shown
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
@@ -26,6 +27,9 @@ from amr_slam.geometry import Pose2
 from amr_slam.localizer import LocalizerParams, Mounting
 from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry
 from amr_slam.params import Preset, SlamParams, preset
+from amr_slam.recording import RecordedDevice
+from amr_slam.recording.raw import settings_table
+from amr_slam.samples import WHEELS
 from amr_slam.wire import ZenohSettings
 
 _T = TypeVar("_T")
@@ -129,6 +133,18 @@ class ServiceSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class RecordingSettings:
+    """What the daemon keeps of the last minutes, to be saved when something was odd."""
+
+    directory: Path = Path("recordings")
+    """Where ``<robot>-<UTC>-<reason>.mcap`` is saved when the daemon gets SIGUSR1."""
+    ring_s: Annotated[float, Interval(ge=0, le=86400)] = 600.0
+    """So many seconds are kept in memory, all bytes of all devices; 0 keeps nothing."""
+    ring_mb: Annotated[float, Gt(0), Interval(le=4096)] = 64.0
+    """At most so many megabytes of memory for it, whatever the time; the oldest goes first."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """All that the daemon is told."""
 
@@ -142,6 +158,7 @@ class Config:
     localizer: LocalizerParams
     zenoh: ZenohSettings
     service: ServiceSettings
+    recording: RecordingSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,6 +175,7 @@ class _File:
     localizer: LocalizerParams = field(default_factory=LocalizerParams)
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
     service: ServiceSettings = field(default_factory=ServiceSettings)
+    recording: RecordingSettings = field(default_factory=RecordingSettings)
 
 
 def load(file: Path) -> Config:
@@ -195,14 +213,23 @@ def parse(table: Mapping[str, Any]) -> Config:
         localizer=read.localizer,
         zenoh=read.zenoh,
         service=read.service,
+        recording=read.recording,
     )
     _cross_check(config)
     return config
 
 
+def recorded_settings(device: RecordedDevice) -> object:
+    """A recorded device's settings, checked as if they stood in a configuration.
+
+    Raises ConfigError with the path from the driver's options down, ValueError for no settings.
+    """
+    return checked(module_of(device).Settings, settings_table(device))
+
+
 def _cross_check(config: Config) -> None:
     """What no section can see alone."""
-    names: dict[str, str] = {}
+    names = {WHEELS: "odometry"}
     addresses = {_address(config.odometry.options): "odometry.options"}
     for index, scanner in enumerate(config.scanners):
         here = f"scanners[{index}]"

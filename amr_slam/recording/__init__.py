@@ -8,10 +8,19 @@ from amr_slam.recording.carmen import read_carmen
 from amr_slam.recording.native import RecordingWriter, read_native
 from amr_slam.recording.relations import Relations, read_relations
 from amr_slam.recording.tum import read_tum, write_tum
-from amr_slam.recording.values import Log, RecordingError, Sample, Trajectory
+from amr_slam.recording.values import (
+    About,
+    Log,
+    RecordedDevice,
+    RecordingError,
+    Sample,
+    Trajectory,
+)
 
 __all__ = [
+    "About",
     "Log",
+    "RecordedDevice",
     "RecordingError",
     "RecordingWriter",
     "Relations",

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from amr_slam.geometry import Pose2
+from amr_slam.recording.raw import RAW_PREFIX, RAW_SCHEMA, encode_raw
 from amr_slam.recording.values import Sample
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import OdometrySample, Raw, RawBytes, RawFrame, Scan, WheelSample
 
 MESSAGE_BOUND_BYTES = 1 << 20
 _BEAMS_BOUND = 20_000
@@ -54,9 +55,14 @@ _POSE = {
 _NUMBERS = {"type": "array", "items": _NUMBER}
 _INTEGERS = {"type": "array", "items": _INTEGER}
 
+_OBJECT = {"type": "object"}
+
 SCAN_SCHEMA = "foxglove.LaserScan"
 POSE_SCHEMA = "foxglove.PoseInFrame"
 WHEELS_SCHEMA = "amr_slam.WheelSample"
+PUBLISHED_SCHEMAS = {"pose": "amr_slam.PoseMessage", "status": "amr_slam.StatusMessage"}
+"""Of what was published, by the last part of its key. The messages are :mod:`amr_slam.wire`'s; the
+schemas name what a chart can show of them."""
 SCHEMAS = {
     SCAN_SCHEMA: _schema(
         SCAN_SCHEMA,
@@ -83,28 +89,71 @@ SCHEMAS = {
         WHEELS_SCHEMA,
         {"timestamp": _TIME, "left_rad": _NUMBER, "right_rad": _NUMBER, "segment": _INTEGER},
     ),
+    PUBLISHED_SCHEMAS["pose"]: _schema(
+        PUBLISHED_SCHEMAS["pose"],
+        {
+            **dict.fromkeys(("stamp", "age_s", "x", "y", "theta", "vx", "omega"), _NUMBER),
+            **dict.fromkeys(("error95_m", "since_fix_s", "since_fix_m"), _NUMBER),
+            **dict.fromkeys(("v", "seq", "epoch"), _INTEGER),
+            **dict.fromkeys(("robot", "state"), _STRING),
+            "covariance": _NUMBERS,
+            "odom": _OBJECT,
+        },
+    ),
+    PUBLISHED_SCHEMAS["status"]: _schema(
+        PUBLISHED_SCHEMAS["status"],
+        {
+            **dict.fromkeys(("v", "seq"), _INTEGER),
+            **dict.fromkeys(("robot", "state"), _STRING),
+            **dict.fromkeys(("stamp", "uptime_s", "cpu_percent", "memory_mb"), _NUMBER),
+            **dict.fromkeys(("scanners", "wheels", "slam"), _OBJECT),
+        },
+    ),
 }
 
 
-def encode(sample: Sample) -> tuple[str, str, bytes]:
-    """(topic, schema, message) of a sample."""
+class Entry(NamedTuple):
+    """One message of a recording."""
+
+    topic: str
+    schema: str
+    stamp_ns: int
+    data: bytes
+
+
+def encode(sample: Sample | Raw) -> Entry:
+    """The message of a sample, or of what passed on a line."""
+    if isinstance(sample, RawBytes | RawFrame):
+        topic = f"{RAW_PREFIX}{sample.device}"
+        return Entry(topic, RAW_SCHEMA, sample.stamp_ns, encode_raw(sample))
+    return Entry(*_encode_sample(sample))
+
+
+def encode_published(leaf: str, stamp_ns: int, payload: bytes) -> Entry:
+    """What was published at ``stamp_ns`` (monotonic) under the key that ends in ``leaf``."""
+    return Entry(f"/{leaf}", PUBLISHED_SCHEMAS[leaf], stamp_ns, payload)
+
+
+def _encode_sample(sample: Sample) -> tuple[str, str, int, bytes]:
+    stamp_ns = sample.stamp_ns
     if isinstance(sample, Scan):
-        return f"/scan/{sample.scanner}", SCAN_SCHEMA, _bytes(_scan_fields(sample))
+        return f"/scan/{sample.scanner}", SCAN_SCHEMA, stamp_ns, _bytes(_scan_fields(sample))
     if isinstance(sample, OdometrySample):
-        fields = _pose_fields(sample.stamp_ns, "odom", sample.odom_from_base)
-        return "/odometry", POSE_SCHEMA, _bytes(fields | {"segment": sample.segment})
+        fields = _pose_fields(stamp_ns, "odom", sample.odom_from_base)
+        return "/odometry", POSE_SCHEMA, stamp_ns, _bytes(fields | {"segment": sample.segment})
     fields = {
-        "timestamp": _time(sample.stamp_ns),
+        "timestamp": _time(stamp_ns),
         "left_rad": sample.left_rad,
         "right_rad": sample.right_rad,
         "segment": sample.segment,
     }
-    return "/wheels", WHEELS_SCHEMA, _bytes(fields)
+    return "/wheels", WHEELS_SCHEMA, stamp_ns, _bytes(fields)
 
 
-def encode_truth(stamp_ns: int, map_from_base: Pose2) -> tuple[str, str, bytes]:
-    """(topic, schema, message) of where the robot really was."""
-    return "/truth", POSE_SCHEMA, _bytes(_pose_fields(stamp_ns, "map", map_from_base))
+def encode_truth(stamp_ns: int, map_from_base: Pose2) -> Entry:
+    """The message of where the robot really was."""
+    data = _bytes(_pose_fields(stamp_ns, "map", map_from_base))
+    return Entry("/truth", POSE_SCHEMA, stamp_ns, data)
 
 
 def _bytes(fields: Fields) -> bytes:

@@ -1,48 +1,41 @@
 """Native recordings: MCAP files (https://mcap.dev/spec) that Foxglove opens.
 
-Topics: ``/scan/<name>``, ``/wheels``, ``/odometry`` and ``/truth``. Each message's log time is
-the sample's stamp. Other topics in a file are left alone.
+Topics: ``/raw/<device>`` what passed on a device's line; ``/scan/<name>``, ``/wheels``,
+``/odometry`` what was decoded; ``/pose``, ``/status`` what was published; ``/truth``. The log time
+of a sample is its stamp. Other topics in a file are left alone. See docs/recording-format.md.
 """
 
 from __future__ import annotations
 
-import io
-import struct
-import zlib
-from collections.abc import Iterator
+import logging
+import os
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
+from typing import Self
 
 import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Schema
-from mcap.stream_reader import breakup_chunk
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import Writer
 
 from amr_slam.geometry import Pose2
-from amr_slam.recording import messages
-from amr_slam.recording.values import Log, RecordingError, Sample, Trajectory
-
-_MAGIC = b"\x89MCAP0\r\n"
-_CHUNK_BYTES = 1 << 20
-# Ours have 1 MiB; a chunk that claims more than this is damage or meant to do harm.
-_RECORD_BOUND_BYTES = 64 << 20
-_TOTAL_BOUND_BYTES = 2 << 30
-# Whatever a damaged file makes the libraries below stumble over.
-_DAMAGE = (
-    McapError,
-    struct.error,
-    zstandard.ZstdError,
-    ValueError,
-    KeyError,
-    TypeError,
-    OverflowError,
-    RecursionError,
+from amr_slam.recording import mcap_file, messages, raw
+from amr_slam.recording.messages import Entry
+from amr_slam.recording.values import (
+    About,
+    Log,
+    RecordedDevice,
+    RecordingError,
+    Sample,
+    Trajectory,
 )
+from amr_slam.samples import Raw
+
+_log = logging.getLogger(__name__)
+
+# A power cut costs what the newest chunk holds: two seconds of a robot with two scanners.
+_CHUNK_BYTES = 256 << 10
+_DECODED = {"/wheels", "/odometry", "/truth"}
 
 
 class RecordingWriter:
@@ -55,6 +48,7 @@ class RecordingWriter:
         self._writer.start(library="amr-slam")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
+        self._message_bytes = 0
 
     def __enter__(self) -> Self:
         return self
@@ -67,142 +61,156 @@ class RecordingWriter:
     ) -> None:
         self.close()
 
+    @property
+    def is_full(self) -> bool:
+        """Whether the file holds nearly as much as can be read again."""
+        return self._message_bytes > mcap_file.TOTAL_BOUND_BYTES - (64 << 20)
+
+    def describe(self, about: About, devices: Iterable[RecordedDevice]) -> None:
+        """Who records which devices: before their first raw message."""
+        self._writer.add_metadata(raw.ABOUT, raw.about_metadata(about))
+        for device in devices:
+            for name, data in device.files.items():
+                self._writer.add_attachment(
+                    0, 0, f"{device.name}/{name}", "application/octet-stream", data
+                )
+            topic, metadata = f"{raw.RAW_PREFIX}{device.name}", raw.device_metadata(device)
+            self._open_channel(topic, raw.RAW_SCHEMA, metadata)
+
     def write(self, sample: Sample) -> None:
-        self._add(sample.stamp_ns, *messages.encode(sample))
+        self.add(messages.encode(sample))
+
+    def write_raw(self, passed: Raw) -> None:
+        """Of a device that was described. Raises KeyError for another."""
+        self.add(messages.encode(passed))
 
     def write_truth(self, stamp_ns: int, map_from_base: Pose2) -> None:
         """Where the robot really was, in the frame of a map that begins at the start pose."""
-        self._add(stamp_ns, *messages.encode_truth(stamp_ns, map_from_base))
+        self.add(messages.encode_truth(stamp_ns, map_from_base))
+
+    def add(self, entry: Entry) -> None:
+        """Write a message that was encoded before."""
+        if entry.topic not in self._channels:
+            if entry.schema == raw.RAW_SCHEMA:
+                raise KeyError(f"{entry.topic}: no such device was described")
+            self._open_channel(entry.topic, entry.schema, {})
+        self._message_bytes += len(entry.data)
+        channel, stamp_ns = self._channels[entry.topic], entry.stamp_ns
+        self._writer.add_message(channel, stamp_ns, entry.data, stamp_ns)
+
+    def flush(self) -> None:
+        """Hand all whole chunks to the operating system."""
+        self._stream.flush()
+
+    def sync(self) -> None:
+        """Wait until the disk has all whole chunks."""
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
 
     def close(self) -> None:
         """Completes the file. Idempotent."""
         if not self._stream.closed:
-            self._writer.finish()  # type: ignore[no-untyped-call]  # mcap has no types here
-            self._stream.close()
+            with self._stream:
+                self._writer.finish()  # type: ignore[no-untyped-call]  # mcap has no types here
 
-    def _add(self, stamp_ns: int, topic: str, schema: str, data: bytes) -> None:
-        if topic not in self._channels:
-            if schema not in self._schemas:
-                self._schemas[schema] = self._writer.register_schema(
-                    schema, "jsonschema", messages.SCHEMAS[schema]
-                )
-            self._channels[topic] = self._writer.register_channel(
-                topic, "json", self._schemas[schema]
-            )
-        self._writer.add_message(self._channels[topic], stamp_ns, data, stamp_ns)
+    def _open_channel(self, topic: str, schema: str, metadata: Mapping[str, str]) -> None:
+        is_raw = schema == raw.RAW_SCHEMA
+        if schema not in self._schemas:
+            kind = "ros1msg" if is_raw else "jsonschema"
+            definition = raw.RAW_DEFINITION if is_raw else messages.SCHEMAS[schema]
+            self._schemas[schema] = self._writer.register_schema(schema, kind, definition)
+        self._channels[topic] = self._writer.register_channel(
+            topic, "ros1" if is_raw else "json", self._schemas[schema], dict(metadata)
+        )
 
 
 def read_native(path: Path) -> Log:
-    """All samples and the truth of a recording.
+    """All that a recording holds; of one that was cut off, what came before, with a warning.
 
-    Raises RecordingError when it cannot be read, is damaged, cut off or beyond all bounds.
+    Raises RecordingError when it cannot be read, is damaged, cut off before its first samples or
+    beyond all bounds.
     """
-    samples: list[Sample] = []
-    truth: list[tuple[int, Pose2]] = []
+    reader = _Reader()
     try:
         with path.open("rb") as stream:
-            for topic, schema, data in _messages(stream):
-                if not (topic in {"/wheels", "/odometry", "/truth"} or topic.startswith("/scan/")):
-                    continue
-                match messages.decode(schema, data):
-                    case (stamp_ns, pose):
-                        truth.append((stamp_ns, pose))
-                    case sample:
-                        samples.append(sample)
+            try:
+                for record in mcap_file.records(stream):
+                    reader.take(record)
+            except mcap_file.CutOffError:
+                if reader.is_empty:
+                    raise
+                _log.warning("%s: cut off: what came after it is lost", path)
+        return reader.log()
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except _DAMAGE as error:
+    except mcap_file.DAMAGE as error:
         reason = str(error) or type(error).__name__
         raise RecordingError(f"{path}: damaged recording: {reason}") from None
-    truth.sort(key=lambda entry: entry[0])
-    return Log(samples=tuple(samples), truth=_trajectory(truth) if truth else None)
+
+
+class _Reader:
+    """Gathers a file's records; raises what is in DAMAGE."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, str] = {0: ""}
+        self._channels: dict[int, Channel] = {}
+        self._attachments: dict[str, bytes] = {}
+        self._about: About | None = None
+        self._samples: list[Sample] = []
+        self._truth: list[tuple[int, Pose2]] = []
+        self._raw: list[Raw] = []
+
+    @property
+    def is_empty(self) -> bool:
+        return not (self._samples or self._truth or self._raw)
+
+    def take(self, record: McapRecord) -> None:
+        match record:
+            case Schema():
+                self._schemas[record.id] = record.name
+            case Channel():
+                self._channels[record.id] = record
+            case Message():
+                self._message(self._channels[record.channel_id], record)
+            case Attachment():
+                self._attachments[record.name] = record.data
+            case Metadata() if record.name == raw.ABOUT:
+                self._about = raw.read_about(record.metadata)
+
+    def _message(self, channel: Channel, message: Message) -> None:
+        topic, schema = channel.topic, self._schemas[channel.schema_id]
+        if topic.startswith(raw.RAW_PREFIX):
+            if schema != raw.RAW_SCHEMA:
+                raise ValueError(f"{topic}: unknown schema {schema!r:.80}")
+            device = topic.removeprefix(raw.RAW_PREFIX)
+            self._raw.append(raw.decode_raw(device, message.log_time, message.data))
+        elif topic in _DECODED or topic.startswith("/scan/"):
+            match messages.decode(schema, message.data):
+                case (stamp_ns, pose):
+                    self._truth.append((stamp_ns, pose))
+                case sample:
+                    self._samples.append(sample)
+
+    def log(self) -> Log:
+        heard = {one.device for one in self._raw}
+        devices = {
+            name: raw.read_device(channel.topic, channel.metadata, self._attachments)
+            for channel in self._channels.values()
+            if (name := channel.topic.removeprefix(raw.RAW_PREFIX)) in heard
+            and channel.topic.startswith(raw.RAW_PREFIX)
+        }
+        self._truth.sort(key=lambda entry: entry[0])
+        return Log(
+            samples=tuple(self._samples),
+            truth=_trajectory(self._truth) if self._truth else None,
+            raw=tuple(self._raw),
+            devices=tuple(devices.values()),
+            about=self._about,
+        )
 
 
 def _trajectory(poses: list[tuple[int, Pose2]]) -> Trajectory:
     return Trajectory(
         stamps_ns=np.array([stamp for stamp, _ in poses], dtype=np.int64),
         poses=np.array([pose.as_array() for _, pose in poses]),
-    )
-
-
-def _messages(stream: BinaryIO) -> Iterator[tuple[str, str, bytes]]:
-    """(topic, name of the schema, data) of every message, in the order of the file."""
-    schemas: dict[int, str] = {0: ""}
-    channels: dict[int, tuple[str, str]] = {}
-    for record in _records(stream):
-        if isinstance(record, Schema):
-            schemas[record.id] = record.name
-        elif isinstance(record, Channel):
-            channels[record.id] = (record.topic, schemas[record.schema_id])
-        elif isinstance(record, Message):
-            yield *channels[record.channel_id], record.data
-
-
-def _records(stream: BinaryIO) -> Iterator[McapRecord]:
-    """Every record of the data section; its checksum and the file's end are checked."""
-    if stream.read(len(_MAGIC)) != _MAGIC:
-        raise ValueError("not an MCAP file")
-    checksum, total = zlib.crc32(_MAGIC), 0
-    while True:
-        head = stream.read(9)
-        if len(head) < 9:
-            raise ValueError("cut off")
-        opcode, length = struct.unpack("<BQ", head)
-        if length > _RECORD_BOUND_BYTES:
-            raise ValueError(f"record of {length} bytes")
-        body = stream.read(length)
-        if len(body) < length:
-            raise ValueError("cut off")
-        if opcode == Opcode.DATA_END:
-            break
-        checksum = zlib.crc32(body, zlib.crc32(head, checksum))
-        records = _parse(opcode, body)
-        total += sum(len(record.data) for record in records if isinstance(record, Message))
-        if total > _TOTAL_BOUND_BYTES:
-            raise ValueError(f"messages of more than {_TOTAL_BOUND_BYTES} bytes")
-        yield from records
-    expected = DataEnd.read(ReadDataStream(io.BytesIO(body))).data_section_crc
-    if expected not in (0, checksum):
-        raise ValueError("checksum of the data is wrong")
-    stream.seek(-len(_MAGIC), io.SEEK_END)
-    if stream.read() != _MAGIC:
-        raise ValueError("cut off")
-
-
-def _parse(opcode: int, body: bytes) -> list[McapRecord]:
-    stream = ReadDataStream(io.BytesIO(body))
-    match opcode:
-        case Opcode.SCHEMA:
-            return [Schema.read(stream)]
-        case Opcode.CHANNEL:
-            return [Channel.read(stream)]
-        case Opcode.MESSAGE:
-            return [Message.read(stream, len(body))]
-        case Opcode.CHUNK:
-            return breakup_chunk(_unpacked(Chunk.read(stream)), validate_crc=True)
-    return []
-
-
-def _unpacked(chunk: Chunk) -> Chunk:
-    """The chunk without compression. Never more is unpacked than the bound allows."""
-    size = chunk.uncompressed_size
-    if size > _RECORD_BOUND_BYTES:
-        raise ValueError(f"chunk of {size} bytes")
-    if chunk.compression == "zstd":
-        unpacker = zstandard.ZstdDecompressor(max_window_size=_RECORD_BOUND_BYTES)
-        with unpacker.stream_reader(io.BytesIO(chunk.data)) as reader:
-            data = reader.read(size + 1)
-    elif chunk.compression == "":
-        data = chunk.data
-    else:
-        raise ValueError(f"compression {chunk.compression[:20]!r} is not known")
-    if len(data) != size:
-        raise ValueError("chunk of another size than it says")
-    return Chunk(
-        compression="",
-        data=data,
-        message_end_time=chunk.message_end_time,
-        message_start_time=chunk.message_start_time,
-        uncompressed_crc=chunk.uncompressed_crc,
-        uncompressed_size=size,
     )

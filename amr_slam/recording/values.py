@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from decimal import Decimal, InvalidOperation
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from amr_slam.geometry import Array, Pose2, readonly
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import OdometrySample, Raw, Scan, WheelSample
 
 Sample = Scan | OdometrySample | WheelSample
 
@@ -48,6 +50,38 @@ class Trajectory:
         return Pose2.from_array(self.poses[index])
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class About:
+    """Who made a recording, with which software, and when."""
+
+    robot: str
+    version: str
+    """Of the software."""
+    monotonic_ns: int
+    """An instant of the clock that all stamps are of ..."""
+    utc_ns: int
+    """... and what the wall clock said then."""
+    config: str = ""
+    """Text of the robot's configuration."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedDevice:
+    """A device whose line was recorded, and what its driver was told: all that decoding needs.
+
+    As read from a file nothing of it has been checked but its form.
+    """
+
+    name: str
+    kind: Literal["scanner", "odometry"]
+    driver: str
+    """Name in the registry of drivers."""
+    settings: str
+    """The driver's settings as a JSON object."""
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    """Contents of the files that the settings name, by the field that names each."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Log:
     """A whole recording in memory."""
@@ -56,6 +90,11 @@ class Log:
     """In the order of time; at equal stamps wheels before scans, else as recorded."""
     truth: Trajectory | None = None
     """World-from-base of the simulator or another reference, where the recording has one."""
+    raw: tuple[Raw, ...] = ()
+    """What passed on the devices' lines, in the order in which their decoders got it."""
+    devices: tuple[RecordedDevice, ...] = ()
+    """Those on whose lines that was."""
+    about: About | None = None
 
     def __post_init__(self) -> None:
         ordered = sorted(self.samples, key=lambda s: (s.stamp_ns, isinstance(s, Scan)))

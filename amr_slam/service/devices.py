@@ -17,14 +17,17 @@ from amr_drivers import registry
 from amr_drivers.errors import DriverError
 from amr_slam.config import OdometrySettings, ScannerSettings
 from amr_slam.samples import (
+    WHEELS,
     DeviceInfo,
     Health,
     Link,
     OdometrySample,
     OdometrySource,
+    RawBytes,
     Scan,
     Scanner,
     Tap,
+    Way,
     WheelSample,
     untapped,
 )
@@ -76,8 +79,10 @@ class DeviceThread(ABC, Generic[_SampleT]):
         sink: Callable[[_SampleT | DeviceEnded], object],
         reconnect_max_s: float,
         stale_s: float,
+        tap: Tap,
     ) -> None:
         self.name = name
+        self._tap = tap
         self._sink: Callable[[_SampleT | DeviceEnded], object] = sink
         self._reconnect_max_s = reconnect_max_s
         self._stale_s = stale_s
@@ -161,6 +166,8 @@ class DeviceThread(ABC, Generic[_SampleT]):
             wait_s = min(2.0 * wait_s, self._reconnect_max_s)
 
     def _serve_one_connection(self) -> None:
+        stamp_ns = time.monotonic_ns()
+        self._tap(RawBytes(device=self.name, stamp_ns=stamp_ns, way=Way.OPENED))
         try:
             source = self._open()
         except DriverError:
@@ -226,8 +233,7 @@ class ScannerThread(DeviceThread[Scan]):
         reconnect_max_s: float,
         tap: Tap = untapped,
     ) -> None:
-        super().__init__(settings.name, sink, reconnect_max_s, _SCANS_STALE_S)
-        self._tap: Tap = tap
+        super().__init__(settings.name, sink, reconnect_max_s, _SCANS_STALE_S, tap)
         self._settings = settings
         self._thinning = Thinning(settings.poll_period_s)
 
@@ -287,15 +293,16 @@ class WheelsThread(DeviceThread[WheelSample | OdometrySample]):
         sink: Callable[[WheelSample | OdometrySample | DeviceEnded], object],
         reconnect_max_s: float,
         stale_s: float,
+        tap: Tap = untapped,
     ) -> None:
-        super().__init__("wheels", sink, reconnect_max_s, stale_s)
+        super().__init__(WHEELS, sink, reconnect_max_s, stale_s, tap)
         self._settings = settings
         self._first_segment = 0
         self._segment = -1
 
     def _open(self) -> OdometrySource:
         module = registry.odometry_module(self._settings.driver)
-        self._source = module.open_odometry(self._settings.options)
+        self._source = module.open_odometry(self._settings.options, self._tap)
         self._first_segment = self._segment + 1
         return self._source
 

@@ -7,10 +7,13 @@ A plug-in names its module under ``amr_slam.scanners`` or ``amr_slam.odometry``:
 
 The module has a frozen dataclass ``Settings`` (str, int, float, bool, Literal and further frozen
 dataclasses only: the configuration checks it generically) and ``open_scanner(name, settings, tap)``
-or ``open_odometry(settings)``. A scanner's module may have ``scan_decoder(name, settings,
-start_ns)`` as well (:class:`amr_drivers.background.ScanDecoder`): then recordings of its bytes can
-be replayed. A module is imported when its name is asked for, not before: nobody needs the
-libraries of a device that he does not have.
+or ``open_odometry(settings, tap)``. For recordings of the devices' bytes and frames to be replayed
+it has ``scan_decoder(name, settings, start_ns)`` (:class:`amr_drivers.background.ScanDecoder`) or
+``wheel_decoder(settings, start_ns)`` (:class:`amr_drivers.decoding.WheelDecoder`) as well, and
+``FILES``, a tuple of the settings that are paths of files which decoding needs, if there are any:
+recordings take their contents along, and decoding finds them at other paths. A module is imported
+when its name is asked for, not before: nobody needs the libraries of a device that he does not
+have.
 """
 
 from __future__ import annotations
@@ -53,8 +56,11 @@ class OdometryModule(Protocol):
     @property
     def Settings(self) -> type[Any]: ...  # noqa: N802 - a class in the module
 
-    def open_odometry(self, settings: Any) -> OdometrySource:
-        """Raises DriverError: not there; ValueError: settings that can never work."""
+    def open_odometry(self, settings: Any, tap: Tap = ...) -> OdometrySource:
+        """``tap`` is given all frames of the bus as they come, for recordings.
+
+        Raises DriverError: not there; ValueError: settings that can never work.
+        """
 
 
 def scanner_names() -> list[str]:

@@ -14,8 +14,9 @@ from can.interfaces.slcan import slcanBus
 
 from amr_drivers.can_odometry.counting import Limits
 from amr_drivers.can_odometry.frames import FrameDecoder, Signals, WheelSettings
+from amr_drivers.can_odometry.recorded import RecordedWheels
 from amr_drivers.errors import BadTelegram, LinkLost
-from amr_slam.samples import DeviceInfo, WheelSample
+from amr_slam.samples import WHEELS, DeviceInfo, RawFrame, Tap, WheelSample, untapped
 
 _SLICE_S = 0.1
 """Longest single wait: what ``close`` from another thread may have to wait for."""
@@ -53,19 +54,30 @@ class Settings:
     """Wait after the port of an slcan adapter is opened: some boards restart then (2 s)."""
 
 
-def open_odometry(settings: Settings) -> CanOdometry:
+FILES = ("dbc",)
+"""Settings that name files: a recording takes their contents along."""
+
+
+def open_odometry(settings: Settings, tap: Tap = untapped) -> CanOdometry:
     """Open the bus and begin to listen; does not wait for the first frame.
 
     Raises LinkLost when the bus cannot be opened, ValueError for a DBC file that does not fit.
     """
-    return CanOdometry(settings)
+    return CanOdometry(settings, tap)
+
+
+def wheel_decoder(settings: Settings, _start_ns: int) -> RecordedWheels:
+    """What turns recorded frames into samples. Raises ValueError as :func:`open_odometry`."""
+    signals = Signals(settings.dbc, settings.left, settings.right, settings.sequence_signal)
+    return RecordedWheels(FrameDecoder(signals, settings.limits))
 
 
 class CanOdometry:
     """An :class:`amr_slam.samples.OdometrySource`."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, tap: Tap = untapped) -> None:
         self._settings = settings
+        self._tap = tap
         signals = Signals(settings.dbc, settings.left, settings.right, settings.sequence_signal)
         self._decoder = FrameDecoder(signals, settings.limits)
         self._errors = 0
@@ -191,6 +203,8 @@ class CanOdometry:
         self._flush()
 
     def _take(self, message: can.Message) -> WheelSample | None:
+        frame = _raw(message)
+        self._tap(frame)
         # First of all: an error frame's id looks like that of a common frame.
         if message.is_error_frame:
             self._errors += 1
@@ -202,10 +216,10 @@ class CanOdometry:
         before = self._decoder.stamps_ns
         try:
             sample = self._decoder.feed(
-                _stamp_ns(message.timestamp),
-                message.arbitration_id,
-                bytes(message.data),
-                is_extended=message.is_extended_id,
+                frame.stamp_ns,
+                frame.arbitration_id,
+                frame.data,
+                is_extended=frame.extended,
             )
         except BadTelegram as reason:
             self._errors += 1
@@ -215,6 +229,18 @@ class CanOdometry:
             self._hindrance = None
             self._troubles = 0
         return sample
+
+
+def _raw(message: can.Message) -> RawFrame:
+    return RawFrame(
+        device=WHEELS,
+        stamp_ns=_stamp_ns(message.timestamp),
+        arbitration_id=message.arbitration_id,
+        extended=message.is_extended_id,
+        remote=message.is_remote_frame,
+        error=message.is_error_frame,
+        data=bytes(message.data),
+    )
 
 
 def _stamp_ns(wall_s: float) -> int:

@@ -10,7 +10,7 @@ from annotated_types import Ge
 
 from amr_drivers.mock.stage import STAGES
 from amr_drivers.playing import Hold, deadline_ns
-from amr_slam.samples import DeviceInfo, WheelSample
+from amr_slam.samples import DeviceInfo, Tap, WheelSample, untapped
 from amr_slam.simulation import WHEEL_PERIOD_NS
 
 
@@ -22,7 +22,7 @@ class Settings:
     """Of the laboratory. Devices with the same seed are on the same robot."""
 
 
-def open_odometry(settings: Settings) -> MockOdometry:
+def open_odometry(settings: Settings, _tap: Tap = untapped) -> MockOdometry:
     """Listen to the simulated robot's wheels; the robot is made when this is its first device."""
     return MockOdometry(settings)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from amr_drivers.replay.player import Track
-from amr_slam.samples import DeviceInfo, OdometrySample, Scan, WheelSample
+from amr_slam.samples import DeviceInfo, OdometrySample, Scan, Tap, WheelSample, untapped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,7 +16,7 @@ class Settings:
     """Path of the recording: whatever ``amr-slam replay`` takes."""
 
 
-def open_odometry(settings: Settings) -> ReplayOdometry:
+def open_odometry(settings: Settings, _tap: Tap = untapped) -> ReplayOdometry:
     """Start the recording, or join those who play it. Raises ValueError: damaged, no wheels."""
     return ReplayOdometry(settings)
 
