@@ -68,6 +68,8 @@ directory = "{folder}"
 name = "hall"
 [zenoh]
 listen = ["{endpoint}"]
+[recording]
+directory = "{folder}/recordings"
 [service]
 save_period_s = {save_period_s}
 answer_limit_s = {answer_limit_s}
@@ -173,16 +175,23 @@ class Daemon:
     """``amr-slam run`` in a session of its own, with a supervisor and a fleet that listens."""
 
     def __init__(
-        self, folder: Path, save_period_s: float = 60.0, answer_limit_s: float = 30.0
+        self,
+        folder: Path,
+        save_period_s: float = 60.0,
+        answer_limit_s: float = 30.0,
+        record: Path | None = None,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.map_path = folder / "hall.amrmap"
         self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s)
         self.supervisor = Supervisor(folder / "notify")
         self._log = folder / "log.txt"
+        command = [sys.executable, "-m", "amr_slam", "run", "--config", str(self.config)]
+        if record is not None:
+            command += ["--record", str(record)]
         with self._log.open("wb") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "amr_slam", "run", "--config", str(self.config)],
+                command,
                 stderr=log,
                 env=environment(NOTIFY_SOCKET=str(folder / "notify"), WATCHDOG_USEC="2000000"),
                 start_new_session=True,

@@ -82,6 +82,14 @@ def _add_daemon(commands: Subparsers[_Parser]) -> None:
         "run",
         "the daemon, in the foreground, as systemd starts it",
         "amr-slam run --config /etc/amr-slam/amr7.toml",
+        "SIGUSR1 saves the last minutes: all bytes of all devices, what was decoded and published "
+        "(section recording of the configuration).",
+    )
+    run.add_argument(
+        "--record",
+        metavar="FILE.mcap",
+        type=_path_ending(".mcap"),
+        help="all of that from now on, until the disk is nearly full",
     )
     check = _command(
         commands,

@@ -24,6 +24,7 @@ from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import OdometrySample, Scan, WheelSample
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+from amr_slam.service.recorder import Recorder
 from amr_slam.service.reporting import Reporter
 from amr_slam.service.systemd import Notifier
 from amr_slam.service.worker import FromWorker, SlamWorker
@@ -38,46 +39,50 @@ _CLOSE_LIMIT_S: Final = 1.0
 _Item = Scan | WheelSample | OdometrySample | DeviceEnded | FromWorker
 
 
-def run(config_path: Path) -> int:
-    """Localize until SIGTERM (0) or SIGINT (130).
+def run(config_path: Path, record: Path | None = None) -> int:
+    """Localize until SIGTERM (0) or SIGINT (130); SIGUSR1 saves what was recorded last.
 
-    Raises ConfigError, PublishingError, and RuntimeError where a driver failed in a way that no
-    driver may: systemd starts anew. A device that is missing is waited for.
+    ``record``: a file for all that is recorded, from the start. Raises ConfigError,
+    PublishingError, OSError when ``record`` cannot be written, and RuntimeError where a driver
+    failed in a way that no driver may: systemd starts anew. A device that is missing is waited for.
     """
     config = load(config_path)
     with ExitStack() as opened:  # whatever happens, what was opened is closed in reverse order
-        daemon = startup(config, config_path, opened)
+        daemon = startup(config, config_path, opened, record)
         exit_status = main_loop(daemon)
         shutdown(daemon, opened)
     return exit_status
 
 
-def startup(config: Config, config_path: Path, opened: ExitStack) -> Daemon:
+def startup(
+    config: Config, config_path: Path, opened: ExitStack, record: Path | None = None
+) -> Daemon:
     """Everything is running, nothing is waited for: the first turns do that."""
-    stop_signal = _StopSignal()
-    opened.callback(stop_signal.restore)
+    signals = _Signals()
+    opened.callback(signals.restore)
+    recorder = Recorder(config, config_path, record)
+    opened.callback(recorder.close)
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
     worker = SlamWorker(_job(config), inbox.put, config.service.answer_limit_s)
     opened.callback(_stop_worker, worker, inbox)
     publisher = opened.enter_context(RobotPublisher(config.zenoh, config.robot.name))
     reconnect_max_s = config.service.reconnect_max_s
-    scanners = [ScannerThread(s, inbox.put, reconnect_max_s) for s in config.scanners]
-    wheels = WheelsThread(
-        config.odometry, inbox.put, reconnect_max_s, config.localizer.wheels_late_s
-    )
+    tap, wheels_late_s = recorder.tap, config.localizer.wheels_late_s
+    scanners = [ScannerThread(s, inbox.put, reconnect_max_s, tap) for s in config.scanners]
+    wheels = WheelsThread(config.odometry, inbox.put, reconnect_max_s, wheels_late_s, tap)
     devices: list[ScannerThread | WheelsThread] = [wheels, *scanners]
     opened.callback(_stop_devices, devices)
     for device in devices:
         device.start()
-    reporter = Reporter(config, publisher, worker, wheels, scanners)
-    return Daemon(config, config_path, inbox, worker, reporter, stop_signal)
+    reporter = Reporter(config, publisher, worker, wheels, scanners, recorder)
+    return Daemon(config, config_path, inbox, worker, reporter, recorder, signals)
 
 
 def main_loop(daemon: Daemon) -> int:
     """Turn until a signal asks to stop; returns the exit status for it."""
-    while daemon.stop_signal.number is None:
+    while daemon.signals.number is None:
         daemon.turn()
-    return 0 if daemon.stop_signal.number == signal.SIGTERM else 128 + signal.SIGINT
+    return 0 if daemon.signals.number == signal.SIGTERM else 128 + signal.SIGINT
 
 
 def shutdown(daemon: Daemon, opened: ExitStack) -> None:
@@ -97,15 +102,17 @@ class Daemon:
         inbox: queue.SimpleQueue[_Item],
         worker: SlamWorker,
         reporter: Reporter,
-        stop_signal: _StopSignal,
+        recorder: Recorder,
+        signals: _Signals,
     ) -> None:
         self.notifier = Notifier()
-        self.stop_signal = stop_signal
+        self.signals = signals
         self._config = config
         self._config_path = config_path
         self._inbox = inbox
         self._worker = worker
         self._reporter = reporter
+        self._recorder = recorder
         self._is_ready = False
         self._localizer = Localizer(
             config.localizer,
@@ -122,6 +129,8 @@ class Daemon:
         samples = self._sorted(self._take_out())
         for sample in samples:
             self._localizer.handle(sample)
+            if isinstance(sample, Scan | WheelSample | OdometrySample):
+                self._recorder.take(sample)
         self._hand_out_request()
         now_ns = time.monotonic_ns()
         self._worker.supervise(now_ns)
@@ -130,6 +139,8 @@ class Daemon:
             self._reporter.publish_pose(self._localizer.estimate(now_ns))
         summary = self._reporter.report(now_ns, self._localizer.outcomes)
         self._notify(now_ns, summary)
+        if self.signals.wants_saving():
+            self._recorder.save("sigusr1")
 
     def _take_out(self) -> list[_Item]:
         items: list[_Item] = []
@@ -184,19 +195,30 @@ class Daemon:
             self.notifier.feed()
 
 
-class _StopSignal:
-    """Remembers that SIGTERM or SIGINT came, instead of what they would do."""
+class _Signals:
+    """Remembers that SIGTERM, SIGINT or SIGUSR1 came, instead of what they would do."""
 
     def __init__(self) -> None:
         self.number: int | None = None
-        self._before = {n: signal.signal(n, self._note) for n in (signal.SIGTERM, signal.SIGINT)}
+        """Of the first that asks to stop."""
+        self._saving_wanted = False
+        noted = (signal.SIGTERM, signal.SIGINT, signal.SIGUSR1)
+        self._before = {number: signal.signal(number, self._note) for number in noted}
+
+    def wants_saving(self) -> bool:
+        """Whether SIGUSR1 came since the last call."""
+        wanted, self._saving_wanted = self._saving_wanted, False
+        return wanted
 
     def restore(self) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
-        self.number = self.number or number
+        if number == signal.SIGUSR1:
+            self._saving_wanted = True
+        else:
+            self.number = self.number or number
 
 
 def _job(config: Config) -> SlamJob:

@@ -15,6 +15,7 @@ from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
+from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
 from amr_slam.wire import CandidatePart, HealthPart, MapPart, PoseMessage, StatusMessage
@@ -38,9 +39,11 @@ class Reporter:
         worker: SlamWorker,
         wheels: WheelsThread,
         scanners: Sequence[ScannerThread],
+        recorder: Recorder,
     ) -> None:
         self._config = config
         self._publisher = publisher
+        self._recorder = recorder
         self._worker = worker
         self._wheels = wheels
         self._scanners = {scanner.name: scanner for scanner in scanners}
@@ -75,6 +78,7 @@ class Reporter:
         )
         self._poses += 1
         self._publisher.publish_pose(message)
+        self._recorder.published(message)
 
     def report(self, now_ns: int, outcomes: Mapping[str, int]) -> str | None:
         """Publish the status if it is time to; then one line of it, for systemd."""
@@ -95,7 +99,9 @@ class Reporter:
         if since_ns < (_PERIOD_NS if what == self._told else _LEAST_PERIOD_NS):
             return None
         self._told, self._told_ns = what, now_ns
-        self._publisher.publish_status(self._message(now_ns, health, wheels, slam, outcomes))
+        message = self._message(now_ns, health, wheels, slam, outcomes)
+        self._publisher.publish_status(message)
+        self._recorder.published(message)
         self._statuses += 1
         links = ", ".join(f"{name} {part.link}" for name, part in parts.items())
         return f"{self._state}: {links}"

@@ -62,7 +62,7 @@ def with_decoded(log: Log, settings_of: Callable[[RecordedDevice], Any]) -> Log:
                 )
                 continue
             settings = settings_of(device)
-            with _files_in_place(device, getattr(module, "FILES", ()), settings) as placed:
+            with _files_in_place(device, registry.file_fields(module), settings) as placed:
                 decoded = _decoded(device, passed, make, placed)
         samples = [one for one in samples if not _is_of(one, device)]
         samples += decoded

@@ -85,6 +85,12 @@ def odometry_module(driver: str) -> OdometryModule:
     return cast("OdometryModule", _module("odometry", driver, table, "open_odometry"))
 
 
+def file_fields(module: ScannerModule | OdometryModule) -> tuple[str, ...]:
+    """The settings of a driver that are paths of files which decoding needs."""
+    fields: tuple[str, ...] = getattr(module, "FILES", ())
+    return fields
+
+
 def _table(own: dict[str, str], group: str) -> dict[str, str]:
     return own | {point.name: point.value for point in entry_points(group=group)}
 

@@ -1,0 +1,276 @@
+"""What passes through the daemon, kept in a ring and written to a file, off the loop's thread.
+
+Device threads and the loop only append to a list; one thread encodes it five times a second, into
+the ring and, with ``--record``, into a file. Another one saves the ring when that is asked for.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import re
+import shutil
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from amr_drivers import registry
+from amr_slam.config import Config
+from amr_slam.recording import About, RecordedDevice, RecordingWriter
+from amr_slam.recording import Sample as Decoded
+from amr_slam.recording.messages import Entry, encode, encode_published
+from amr_slam.recording.ring import Kept, Ring
+from amr_slam.samples import WHEELS, Raw, RawBytes, Tap, Way, untapped
+from amr_slam.wire import PoseMessage, StatusMessage
+
+_log = logging.getLogger(__name__)
+
+_PERIOD_S: Final = 0.2
+_MAX_WAITING: Final = 100_000
+"""Things that wait for the thread: half a minute of two scanners, while a disk hangs."""
+_LEAST_FREE_BYTES: Final = 256 << 20
+"""Of the disk: maps and the journal must go on."""
+_MAX_FILE_BYTES: Final = 8 << 20
+_CLOSE_LIMIT_S: Final = 1.0
+
+_Published = PoseMessage | StatusMessage
+_Item = Raw | Decoded | tuple[int, _Published]
+
+
+class Recorder:
+    """Ring and file of one daemon. Everything but :meth:`close` returns at once; any thread."""
+
+    def __init__(self, config: Config, config_path: Path, record: Path | None = None) -> None:
+        """``record``: a file for everything from now on. Raises OSError: it cannot be written."""
+        settings = config.recording
+        self._directory = settings.directory
+        self._robot = config.robot.name
+        self._config_text = config_path.read_text("utf-8")
+        self._devices = _devices(config)
+        self._ring = Ring(settings.ring_s, round(1e6 * settings.ring_mb))
+        self._keeps = settings.ring_s > 0.0
+        self._file = None if record is None else _RecordFile(record, self._described(record))
+        self._lock = threading.Lock()
+        self._waiting: list[_Item] = []
+        self._overrun = False
+        self._wanted: Path | None = None
+        self._saving: threading.Thread | None = None
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        if self._keeps or record is not None:
+            self._thread.start()
+
+    @property
+    def tap(self) -> Tap:
+        """For the drivers."""
+        return self._put if self._thread.is_alive() else untapped
+
+    def take(self, sample: Decoded) -> None:
+        """A sample that the localizer gets."""
+        if self._thread.is_alive():
+            self._put(sample)
+
+    def published(self, message: _Published) -> None:
+        """A message that leaves the robot."""
+        if self._thread.is_alive():
+            self._put((time.monotonic_ns(), message))
+
+    def save(self, reason: str) -> Path | None:
+        """Have the ring saved; where it will be. None: there is none, or the last saving goes on.
+
+        Raises ValueError when ``reason`` is not 1 to 40 letters, digits, '_' or '-'.
+        """
+        if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", reason):
+            raise ValueError(f"{reason!r:.60} should be 1 to 40 letters, digits, '_' or '-'")
+        if not self._keeps:
+            _log.warning("nothing to save: recording.ring_s is 0")
+            return None
+        path = self._directory / f"{self._robot}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{reason}.mcap"
+        with self._lock:
+            if self._wanted is not None or (self._saving and self._saving.is_alive()):
+                _log.warning("%s: not saved: the last saving still goes on", path)
+                return None
+            self._wanted = path
+        return path
+
+    def close(self) -> None:
+        """Complete the file; a saving that goes on is given up. Idempotent."""
+        self._stopping.set()
+        deadline_s = time.monotonic() + _CLOSE_LIMIT_S
+        for thread in (self._thread, self._saving):
+            if thread is not None and thread.is_alive():
+                thread.join(max(0.0, deadline_s - time.monotonic()))
+                if thread.is_alive():
+                    _log.warning("%s: the disk does not answer; left behind", thread.name)
+
+    def _put(self, item: _Item) -> None:
+        with self._lock:
+            if len(self._waiting) < _MAX_WAITING:
+                self._waiting.append(item)
+            else:
+                self._overrun = True
+
+    # -- the thread ------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        stopping = False
+        while not stopping:
+            stopping = self._stopping.wait(_PERIOD_S)
+            self._turn()
+        if self._file is not None:
+            self._file.close()
+
+    def _turn(self) -> None:
+        with self._lock:
+            items, self._waiting = self._waiting, []
+            overrun, self._overrun = self._overrun, False
+            wanted = self._wanted
+        entries = [_entry(item) for item in items]
+        now_ns = time.monotonic_ns()
+        if overrun:
+            _log.warning("recording: the disk was too slow: there is a gap in it")
+            entries += [
+                encode(RawBytes(device=device.name, stamp_ns=now_ns, way=Way.GAP))
+                for device in self._devices
+            ]
+        if self._file is not None:
+            self._file.write(entries)
+        if self._keeps:
+            self._ring.add(entries, now_ns)
+        if wanted is not None:
+            saving = threading.Thread(
+                target=self._save,
+                args=(self._ring.kept(now_ns), wanted),
+                name="recorder-saving",
+                daemon=True,
+            )
+            saving.start()
+            with self._lock:
+                self._saving, self._wanted = saving, None
+
+    def _save(self, kept: Kept, path: Path) -> None:
+        """A file that is there is whole: it gets its name when it is complete."""
+        part = path.with_name(f".{path.name}.part")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if _free_bytes(path) < _LEAST_FREE_BYTES + kept.size_bytes:
+                _log.warning("%s: not saved: the disk is nearly full", path)
+                return
+            try:
+                with self._described(part) as writer:
+                    for entries in kept.parts():
+                        self._write_part(writer, entries)
+                with part.open("rb") as written:
+                    os.fsync(written.fileno())
+                part.replace(path)
+            finally:
+                part.unlink(missing_ok=True)
+        except OSError as error:
+            _log.warning("%s: not saved: %s", path, error.strerror or error)
+        except _GivenUpError:
+            _log.warning("%s: not saved: stopping", path)
+        else:
+            _log.info("%s: saved", path)
+
+    def _write_part(self, writer: RecordingWriter, entries: Sequence[Entry]) -> None:
+        begun_s = time.monotonic()
+        for entry in entries:
+            writer.add(entry)
+        # Half of the time is the loop's: no pose waits for a saving.
+        if self._stopping.wait(time.monotonic() - begun_s):
+            raise _GivenUpError
+
+    def _described(self, path: Path) -> RecordingWriter:
+        writer = RecordingWriter(path)
+        about = About(
+            robot=self._robot,
+            version=version("amr-slam"),
+            monotonic_ns=time.monotonic_ns(),
+            utc_ns=time.time_ns(),
+            config=self._config_text,
+        )
+        writer.describe(about, self._devices)
+        return writer
+
+
+class _GivenUpError(Exception):
+    """The daemon stops."""
+
+
+class _RecordFile:
+    """The file of ``--record``. It ends early, with a warning, rather than fill the disk."""
+
+    def __init__(self, path: Path, writer: RecordingWriter) -> None:
+        self._path = path
+        self._writer: RecordingWriter | None = writer
+
+    def write(self, entries: Sequence[Entry]) -> None:
+        if self._writer is None:
+            return
+        try:
+            for entry in entries:
+                self._writer.add(entry)
+            self._writer.flush()
+            full = _free_bytes(self._path) < _LEAST_FREE_BYTES
+        except OSError as error:
+            self._end(error.strerror or str(error))
+            return
+        if full:
+            self._end("the disk is nearly full")
+        elif self._writer.is_full:
+            self._end("2 GiB of messages are in it")
+
+    def close(self) -> None:
+        if self._writer is not None:
+            writer, self._writer = self._writer, None
+            try:
+                writer.close()
+            except OSError as error:
+                _log.warning("%s: cut off: %s", self._path, error.strerror or error)
+
+    def _end(self, reason: str) -> None:
+        _log.warning("%s: the recording ends here: %s", self._path, reason)
+        self.close()
+
+
+def _entry(item: _Item) -> Entry:
+    if isinstance(item, tuple):
+        stamp_ns, message = item
+        return encode_published(message.kind, stamp_ns, message.encode())
+    return encode(item)
+
+
+def _free_bytes(path: Path) -> int:
+    return shutil.disk_usage(path.parent).free
+
+
+def _devices(config: Config) -> tuple[RecordedDevice, ...]:
+    odometry = config.odometry
+    return (
+        _device(WHEELS, "odometry", odometry.driver, odometry.options),
+        *(_device(s.name, "scanner", s.driver, s.options) for s in config.scanners),
+    )
+
+
+def _device(
+    name: str, kind: Literal["scanner", "odometry"], driver: str, options: Any
+) -> RecordedDevice:
+    module = registry.scanner_module if kind == "scanner" else registry.odometry_module
+    files = {}
+    for field in registry.file_fields(module(driver)):
+        path = getattr(options, field)
+        if not path:
+            continue
+        try:
+            with Path(path).open("rb") as stream:
+                files[field] = stream.read(_MAX_FILE_BYTES)
+        except OSError as error:  # the driver itself refuses what it cannot do without
+            _log.warning("%s: recordings lack %s: %s", name, field, error.strerror)
+    settings = json.dumps(asdict(options), allow_nan=False)
+    return RecordedDevice(name=name, kind=kind, driver=driver, settings=settings, files=files)
