@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from daemon_rig import Daemon, Robot, until, write_config
+from mcap.records import Channel, Message
 from messages import pose_of, status_of
 
 from amr_drivers.decoding import with_decoded
@@ -29,9 +30,9 @@ def topics_in(path: Path) -> dict[str, int]:
     counts: dict[str, int] = {}
     with path.open("rb") as stream:
         for record in records(stream):
-            if hasattr(record, "topic"):
+            if isinstance(record, Channel):
                 names[record.id] = record.topic
-            elif hasattr(record, "channel_id"):
+            elif isinstance(record, Message):
                 topic = names[record.channel_id]
                 counts[topic] = counts.get(topic, 0) + 1
     return counts
@@ -99,7 +100,7 @@ class Rig:
 
     def __init__(self, config: tuple[Config, Path], record: Path | None = None, **ring: float):
         self.directory = config[1].parent / "saved"
-        settings = RecordingSettings(directory=self.directory, **ring)  # type: ignore[arg-type]
+        settings = RecordingSettings(directory=self.directory, **ring)
         self.recorder = Recorder(replace(config[0], recording=settings), config[1], record)
 
     def __enter__(self) -> Recorder:
