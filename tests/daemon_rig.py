@@ -240,10 +240,14 @@ class Daemon:
         assert self.fleet.wait_for(holds, DEADLINE_S), f"{what}: {self.fleet.views()}, {self.log()}"
         return found[0]
 
+    def children(self) -> list[str]:
+        """Process identifiers."""
+        pid = self.process.pid
+        return Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+
     def slam_process(self) -> int:
         """Of the present worker; multiprocessing's other child is its resource tracker."""
-        pid = self.process.pid
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        children = self.children()
         (worker,) = (
             c for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import struct
 from dataclasses import replace
@@ -38,6 +39,7 @@ FRONT = RecordedDevice(
 WHEELS = RecordedDevice(
     name="wheels", kind="odometry", driver="can", settings="{}", files={"dbc": b"\x00\xff" * 50}
 )
+LAMP = replace(FRONT, kind="lamp")  # type: ignore[arg-type]  # as only a file can have it
 
 stamps = st.integers(0, 2**63 - 1)
 names = st.sampled_from(["front", "wheels"])
@@ -114,11 +116,7 @@ def test_hostile_raw_messages_are_refused(tmp_path: Path, message: bytes) -> Non
 @pytest.mark.parametrize(
     ("device", "about", "reason"),
     [
-        (
-            replace(FRONT, kind="lamp"),
-            ABOUT,  # type: ignore[arg-type]
-            "/raw/front: its metadata must be kind, driver",
-        ),
+        (LAMP, ABOUT, "/raw/front: its metadata must be kind, driver"),
         (replace(FRONT, driver="x" * 65), ABOUT, "too long"),
         (replace(FRONT, settings="x" * (1 << 20) + "y"), ABOUT, "too long"),
         (FRONT, replace(ABOUT, utc_ns=-1), "no instants"),
@@ -239,6 +237,16 @@ def test_a_ring_keeps_the_newest_in_order_and_within_its_bounds(
     assert kept == added[len(added) - len(kept) :]
     if span_s == 1e6 and sum(sizes) < 1000:
         assert kept == added
+
+
+def test_a_full_ring_holds_as_much_as_it_may() -> None:
+    dice = random.Random(1)
+    ring = Ring(1e6, 1_000_000)
+    for n in range(50):
+        ring.add([Entry("/raw/front", RAW_SCHEMA, n, dice.randbytes(70_000))], n)
+        assert ring.used_bytes <= 1_000_000
+    stamps = [entry.stamp_ns for part in ring.kept(50).parts() for entry in part]
+    assert stamps == list(range(36, 50))
 
 
 def test_a_ring_forgets_by_time() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import threading
 from dataclasses import replace
@@ -47,11 +48,13 @@ def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(tmp_path: Path)
             "some scans were registered",
         )
         before = daemon.next_poses(1)[0].seq
-        daemon.process.send_signal(signal.SIGUSR1)
+        children = daemon.children()
+        os.killpg(daemon.process.pid, signal.SIGUSR1)  # as systemctl kill does: to all of them
         until(lambda: ": saved" in daemon.log(), f"the recording, {daemon.log()}")
         # The poses went on meanwhile.
         poses = daemon.next_poses(5)
         assert poses[-1].seq > before
+        assert daemon.children() == children
         assert daemon.stop() == 0
     (saved,) = (tmp_path / "recordings").iterdir()
     assert saved.name.startswith("amr7-")

@@ -194,10 +194,12 @@ class SlamWorker:
         )
         # The child inherits the mask and never lifts it: no instant in which Ctrl-C, or a SIGTERM
         # to the whole group, could take the map with it. The tracker that multiprocessing starts
-        # with its first child would lift it too early, so it is started before.
-        resource_tracker.ensure_running()
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        # with its first child would lift it too early, so it is started before; SIGUSR1, which
+        # means the daemon alone, is kept from both.
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
         try:
+            resource_tracker.ensure_running()
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
