@@ -455,12 +455,12 @@ def test_check_validates_a_configuration(hall: Hall, tmp_path: Path) -> None:
 
 
 def test_run_and_check_hand_over_to_the_service(
-    hall: Hall, monkeypatch: pytest.MonkeyPatch
+    hall: Hall, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[object] = []
 
-    def run(config_path: Path) -> int:
-        seen.append(config_path)
+    def run(config_path: Path, record: Path | None) -> int:
+        seen.extend((config_path, record))
         return 130
 
     def check(config_path: Path, *, probe: bool) -> int:
@@ -470,9 +470,14 @@ def test_run_and_check_hand_over_to_the_service(
     monkeypatch.setattr(service, "run", run)
     monkeypatch.setattr(service, "check", check)
     assert amr_slam("run", "--config", hall.config).status == 130
+    record = tmp_path / "all.mcap"
+    assert amr_slam("run", "--config", hall.config, "--record", record).status == 130
     assert amr_slam("check", "--config", hall.config, "--probe").status == 1
     assert amr_slam("check", "--config", hall.config).status == 1
-    assert seen == [hall.config, hall.config, True, hall.config, False]
+    runs = [hall.config, None, hall.config, record]
+    assert seen == [*runs, hall.config, True, hall.config, False]
+    for wrong in ("no/such/folder/a.mcap", "a.bag"):
+        assert amr_slam("run", "--config", hall.config, "--record", wrong).status == 2
 
 
 def test_watch_asks_whom_it_is_told_to(monkeypatch: pytest.MonkeyPatch) -> None:

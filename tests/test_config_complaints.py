@@ -154,6 +154,10 @@ EDITS: dict[str, tuple[tuple[str, str], str]] = {
         ('"rear"', '"front"'),
         "scanners[1].name: front is also the name of scanners[0]",
     ),
+    "name of the wheels": (
+        ('"rear"', '"wheels"'),
+        "scanners[1].name: wheels is also the name of odometry",
+    ),
     "two at one port": (
         ("ttyS1", "ttyS0"),
         "scanners[1].options: /dev/ttyS0 is also the address of scanners[0]",

@@ -55,7 +55,11 @@ _POSE = {
 _NUMBERS = {"type": "array", "items": _NUMBER}
 _INTEGERS = {"type": "array", "items": _INTEGER}
 
-_OBJECT = {"type": "object"}
+_ODOM = {"type": "object", "properties": dict.fromkeys(("x", "y", "theta"), _NUMBER)}
+_HEALTH = {
+    "type": "object",
+    "properties": {"link": _STRING, "rate_hz": _NUMBER, "samples": _INTEGER, "errors": _INTEGER},
+}
 
 SCAN_SCHEMA = "foxglove.LaserScan"
 POSE_SCHEMA = "foxglove.PoseInFrame"
@@ -97,7 +101,7 @@ SCHEMAS = {
             **dict.fromkeys(("v", "seq", "epoch"), _INTEGER),
             **dict.fromkeys(("robot", "state"), _STRING),
             "covariance": _NUMBERS,
-            "odom": _OBJECT,
+            "odom": _ODOM,
         },
     ),
     PUBLISHED_SCHEMAS["status"]: _schema(
@@ -106,7 +110,7 @@ SCHEMAS = {
             **dict.fromkeys(("v", "seq"), _INTEGER),
             **dict.fromkeys(("robot", "state"), _STRING),
             **dict.fromkeys(("stamp", "uptime_s", "cpu_percent", "memory_mb"), _NUMBER),
-            **dict.fromkeys(("scanners", "wheels", "slam"), _OBJECT),
+            **dict.fromkeys(("wheels", "slam"), _HEALTH),
         },
     ),
 }
