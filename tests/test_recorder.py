@@ -39,7 +39,9 @@ def topics_in(path: Path) -> dict[str, int]:
     return counts
 
 
-def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(tmp_path: Path) -> None:
+def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = tmp_path / "whole.mcap"
     with Robot(tmp_path), Daemon(tmp_path, record=whole) as daemon:
         daemon.listen()
@@ -86,6 +88,28 @@ def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(tmp_path: Path)
         facts = json.loads(report.read_text())
         assert facts["scans_in_log"] == scans
         assert facts["registrations"] > 1
+
+    capsys.readouterr()
+    located = ["localize", "--map", daemon.map_path, saved, "--config", daemon.config]
+    assert main(list(map(str, [*located, "--scan-period", "1.0"]))) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) > 2
+    assert any(line["accepted"] for line in lines)
+
+
+def test_what_a_killed_daemon_has_recorded_is_read(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = tmp_path / "whole.mcap"
+    with Robot(tmp_path), Daemon(tmp_path, record=whole) as daemon:
+        until(lambda: whole.exists() and whole.stat().st_size > 50_000, f"bytes, {daemon.log()}")
+        assert daemon.stop(signal.SIGKILL) == -signal.SIGKILL
+    log = read_log(whole)
+    assert "cut off" in caplog.text
+    assert {device.name for device in log.devices} == {"front", "rear", "wheels"}
+    again = with_decoded(log, _settings)
+    assert any(isinstance(sample, Scan) for sample in again.samples)
+    assert any(isinstance(sample, WheelSample) for sample in again.samples)
 
 
 @pytest.fixture
