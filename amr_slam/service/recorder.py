@@ -33,11 +33,11 @@ _log = logging.getLogger(__name__)
 
 _PERIOD_S: Final = 0.2
 _MAX_WAITING: Final = 100_000
-"""Things that wait for the thread: half a minute of two scanners, while a disk hangs."""
+"""Things that wait for the thread: a minute and a half of two scanners, while a disk hangs."""
 _LEAST_FREE_BYTES: Final = 256 << 20
 """Of the disk: maps and the journal must go on."""
 _MAX_FILE_BYTES: Final = 8 << 20
-_CLOSE_LIMIT_S: Final = 1.0
+_CLOSE_LIMIT_S: Final = 0.4  # what the other parts leave of the 5 s of a stop
 
 _Published = PoseMessage | StatusMessage
 _Item = Raw | Decoded | tuple[int, _Published]
