@@ -122,6 +122,7 @@ class Localizer:
         return self._filter.predict(motion)
 
     def _handle_scan(self, scan: Scan) -> Outcome:
+        scan = self._pairing.on_wheels_clock(scan)
         outcome = self._pairing.check(scan)
         if outcome is not Outcome.ACCEPTED:
             return outcome

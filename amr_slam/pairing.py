@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
 from amr_slam.fusion import PoseFilter
@@ -17,6 +17,8 @@ class Mounting:
 
     base_from_lidar: Pose2
     upside_down: bool = False
+    lag_s: float = 0.0
+    """How late its stamps are against the wheels' clock."""
 
 
 class Pairing:
@@ -31,6 +33,13 @@ class Pairing:
         self._wait_ns = round(1e9 * wait_s)
         self._pending: dict[str, Scan] = {}
         self._newest_ns: dict[str, int] = {}
+
+    def on_wheels_clock(self, scan: Scan) -> Scan:
+        """The scan stamped as the wheels are; one of an unknown scanner as it is."""
+        mounting = self._mountings.get(scan.scanner)
+        if mounting is None or mounting.lag_s == 0.0:
+            return scan
+        return replace(scan, stamp_ns=scan.stamp_ns - round(1e9 * mounting.lag_s))
 
     def check(self, scan: Scan) -> Outcome:
         """ACCEPTED, or why the scan cannot be used; its stamp is remembered."""

@@ -42,7 +42,7 @@ class Plausibility:
     """How probable it is that the best place found without a prior is the right one: a logistic
     regression on what the scan shows there (fields of :class:`amr_slam.evidence.Hypothesis`).
 
-    Weights fitted over many worlds, clutter and noise by ``tools/calibrate.py``; why they are
+    Weights fitted over many worlds, clutter and noise by ``tools/fit_acceptance.py``; why they are
     believed elsewhere: ``docs/adr/0010-acceptance.md``.
     """
 

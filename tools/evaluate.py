@@ -28,6 +28,7 @@ STUDIES: Final = {
     "scaling": "scaling",
     "bound": "bound",
     "peers": "peers",
+    "calibration": "calibrating",
 }
 NEEDS_LOGS: Final = frozenset({"real"})
 

@@ -82,11 +82,13 @@ class MountingSettings:
     """Direction of its middle beam, counter-clockwise from straight ahead."""
     upside_down: bool = False
     """Hangs head down: its beams run clockwise, seen from above."""
+    lag_s: Annotated[float, Interval(ge=-1, le=1)] = 0.0
+    """Its stamps are late by this against the wheels', in s; ``tools/calibrate.py`` finds it."""
 
     @property
     def mounting(self) -> Mounting:
         pose = Pose2(self.x_m, self.y_m, math.radians(self.theta_deg))
-        return Mounting(base_from_lidar=pose, upside_down=self.upside_down)
+        return Mounting(base_from_lidar=pose, upside_down=self.upside_down, lag_s=self.lag_s)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
