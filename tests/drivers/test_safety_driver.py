@@ -9,14 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from paths import REPO
 from safety_rig import Sweeping, next_scan, opened, settings_for, until
 
 from amr_drivers.emulators.safety import MICROSCAN3, NANOSCAN3, EmulatedSafety, emulate
 from amr_drivers.errors import DriverError, LinkLost
 from amr_drivers.sick_safety import variables
-from amr_drivers.sick_safety.driver import Polled, Settings, Streamed, scan_decoder
+from amr_drivers.sick_safety.driver import Polled, Settings, Streamed, open_scanner, scan_decoder
 from amr_drivers.sick_safety.session import Refused, Session
 from amr_drivers.transport import TcpStream
+from amr_slam.config import load
 from amr_slam.samples import RawBytes, Scan, Way
 
 MODES = ("poll", "stream")
@@ -391,3 +393,15 @@ def test_the_emulator_is_what_the_settings_name() -> None:
         assert driver.info().model == "SICK nanoScan3"
         assert list(device.streams) == [1]
         driver.close()
+
+
+@pytest.mark.parametrize("name", ["sick_microscan3", "sick_nanoscan3"])
+def test_the_example_robots_have_scanners_of_this_driver(name: str) -> None:
+    config = load(REPO / f"config/{name}.toml")
+    ports = [scanner.options.port for scanner in config.scanners]
+    assert len(set(ports)) == len(ports)
+    for scanner in config.scanners:
+        with emulate(scanner.options) as device, Sweeping(device):
+            driver = open_scanner(scanner.name, scanner.options)
+            next_scan(driver)
+            driver.close()

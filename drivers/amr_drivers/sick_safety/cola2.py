@@ -120,7 +120,7 @@ _INDEXED: Final = frozenset(
 
 def encode_frame(frame: Frame) -> bytes:
     """The bytes of a telegram. Raises BadTelegram where it is longer than any can be."""
-    command, mode = frame.command.encode("ascii")
+    command, mode = frame.command.encode("latin-1")
     body = b"".join(
         (
             _FIXED.pack(frame.hub, 1 if frame.address else 0),
