@@ -21,6 +21,7 @@ _HEAD: Final = struct.Struct(">IHcc")
 _ADDRESS: Final = 4
 """Further bytes of an address, where the second byte of the frame is not 0."""
 _SHORTEST: Final = _FIXED.size + _HEAD.size
+_LEAST: Final = _PREFIX + _SHORTEST
 MAX_LENGTH: Final = 65_536
 """Longest frame believed, in bytes: a telegram of 2751 beams and all blocks needs 20 000."""
 _COMMANDS: Final = frozenset(b"ORWMCAFS")
@@ -169,7 +170,7 @@ def _announced(data: bytes | bytearray) -> int | None:
     if len(data) < _PREFIX or not data.startswith(_START):
         return None
     length = _PREFIX + int.from_bytes(data[len(_START) : _PREFIX], "big")
-    return length if _PREFIX + _SHORTEST <= length <= MAX_LENGTH else None
+    return length if _LEAST <= length <= MAX_LENGTH else None
 
 
 def error_code(frame: Frame) -> int:
@@ -220,6 +221,7 @@ class FrameReader:
         self._buffer = bytearray()
         self._damaged = 0
         self._skipping = False
+        self._wanted = _LEAST
 
     @property
     def damaged(self) -> int:
@@ -231,7 +233,7 @@ class FrameReader:
         found: list[Frame] = []
         for start in range(0, len(data), MAX_LENGTH):
             self._buffer += data[start : start + MAX_LENGTH]
-            while (frame := self._next()) is not None:
+            while len(self._buffer) >= self._wanted and (frame := self._next()) is not None:
                 found.append(frame)
         return found
 
@@ -241,6 +243,7 @@ class FrameReader:
             self._damaged += 1
         self._buffer.clear()
         self._skipping = False
+        self._wanted = _LEAST
 
     def _next(self) -> Frame | None:
         buffer = self._buffer
@@ -249,32 +252,34 @@ class FrameReader:
             if at < 0:
                 # The last bytes may be the beginning of a start.
                 self._skip(len(buffer) - _trailing_start(buffer))
-                return None
+                return self._wait_for(_LEAST)
             self._skip(at)
-            if len(buffer) < _PREFIX + _SHORTEST + _ADDRESS and not self._is_short():
-                return None
+            if len(buffer) < _LEAST:
+                return self._wait_for(_LEAST)
             length = _announced(buffer)
-            if length is None or not self._is_credible():
+            if length is None:
+                self._skip(1)
+                continue
+            if len(buffer) < min(length, _LEAST + _ADDRESS):
+                return self._wait_for(min(length, _LEAST + _ADDRESS))
+            if not self._is_credible(length):
                 self._skip(1)
                 continue
             if len(buffer) < length:
-                return None
+                return self._wait_for(length)
             frame = decode_frame(bytes(buffer[:length]))
             del buffer[:length]
             self._skipping = False
+            self._wanted = _LEAST
             return frame
 
-    def _is_short(self) -> bool:
-        """Whether enough is there to judge a frame by: it may have no address and no payload."""
-        if len(self._buffer) < _PREFIX:
-            return False
-        length = _announced(self._buffer)
-        return length is None or len(self._buffer) >= length
+    def _wait_for(self, length: int) -> None:
+        """Nothing can be told before so many bytes are there."""
+        self._wanted = length
 
-    def _is_credible(self) -> bool:
+    def _is_credible(self, length: int) -> bool:
         """Whether command and mode are letters that a telegram has, for lengths prove nothing."""
         buffer = self._buffer
-        length = _announced(buffer) or 0
         address = _ADDRESS if buffer[_PREFIX + 1] else 0
         at = _PREFIX + _FIXED.size + address + 6
         if at + 2 > length:

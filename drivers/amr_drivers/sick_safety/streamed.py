@@ -63,9 +63,10 @@ class Streamed(BackgroundScanner):
     def status(self) -> tuple[int, str | None]:
         """See :class:`amr_slam.samples.Scanner`."""
         errors, hindrance = super().status()
-        silent_s = self._streaming.silent_s(time.monotonic_ns())
-        told = self._told
-        if self._fault is not None or told is None or silent_s <= self._streaming.silence_s:
+        now_ns = time.monotonic_ns()
+        silent_s, told = self._streaming.silent_s(now_ns), self._told
+        answered = told is not None and 1e-9 * (now_ns - self._switched_on_ns) < silent_s
+        if self._fault is not None or silent_s <= self._streaming.silence_s or not answered:
             return errors, hindrance
         foreign = self._datagrams.foreign
         others = f"; {foreign} datagrams came from other addresses" if foreign else ""

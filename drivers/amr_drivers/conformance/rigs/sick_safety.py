@@ -19,8 +19,8 @@ from amr_drivers.sick_safety.instance import Beams, Header, Instance, Status, en
 from amr_drivers.sick_safety.settings import Settings
 from amr_slam.samples import Tap, untapped
 
-_POLL_S: Final = 0.05
-"""Near the scan period, so that nearly every sweep is fetched."""
+_POLL_S: Final = 0.02
+"""Twice in a scan period, so that every sweep is fetched and none is old when it is."""
 _STAMP_S: Final = {"poll": 0.02, "stream": 0.003}
 """Polled: half a scan period, until the clock has learnt."""
 
