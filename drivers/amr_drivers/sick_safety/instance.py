@@ -40,14 +40,14 @@ VALID, INFINITE, GLARE, REFLECTOR, CONTAMINATED, CONTAMINATION_WARNING = (1 << n
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Block:
-    """Where in an instance a block lies; both 0: it is absent."""
+    """Where in an instance a block lies; without a size it is absent."""
 
     offset: int = 0
     size: int = 0
 
     @property
     def present(self) -> bool:
-        return bool(self.offset or self.size)
+        return self.size > 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -233,8 +233,7 @@ def ranges_m(derived: DerivedValues, beams: Beams) -> Array:
     """(beams,) m: +inf where nothing returned, NaN where a beam did not measure: no valid bit,
     dazzled, or seen through a dirty screen."""
     ranges: Array = 1e-3 * derived.factor * beams.distance.astype(np.float64)
-    bad = (beams.status & (VALID | GLARE | CONTAMINATED)) != VALID
-    ranges[bad | (beams.distance == 0)] = np.nan
+    ranges[((beams.status & VALID) == 0) | (beams.distance == 0)] = np.nan
     ranges[(beams.status & INFINITE) != 0] = np.inf
     ranges[(beams.status & (GLARE | CONTAMINATED)) != 0] = np.nan
     return ranges
@@ -295,8 +294,7 @@ def _attempt(
 def _layout_complaint(header: Header, length: int) -> str | None:
     """What is wrong with the places of the blocks, those that are not looked into as well."""
     blocks = [header.status, header.derived, header.beams, header.fields, header.application]
-    if header.local_io is not None:
-        blocks.append(header.local_io)
+    # Not that of local inputs: one source alone says that these bytes of the header mean it.
     end = HEADER
     for block in sorted((b for b in blocks if b.present), key=lambda block: block.offset):
         if block.offset < end:
