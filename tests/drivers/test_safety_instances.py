@@ -9,17 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amr_drivers.errors import BadTelegram
-from amr_drivers.sick_safety.datagrams import (
-    HEADER,
-    MAX_INSTANCE,
-    MAX_OPEN,
-    Fragment,
-    Reassembler,
-    decode_fragment,
-    encode_fragment,
-    fragments,
-)
-from amr_drivers.sick_safety.instance import (
+from amr_drivers.sick_safety.blocks import (
     CONTAMINATED,
     CONTAMINATION_WARNING,
     GLARE,
@@ -31,11 +21,19 @@ from amr_drivers.sick_safety.instance import (
     Header,
     Instance,
     Status,
-    decode_instance,
-    decode_parts,
-    encode_instance,
     ranges_m,
 )
+from amr_drivers.sick_safety.datagrams import (
+    HEADER,
+    MAX_INSTANCE,
+    MAX_OPEN,
+    Fragment,
+    Reassembler,
+    decode_fragment,
+    encode_fragment,
+    fragments,
+)
+from amr_drivers.sick_safety.instance import decode_instance, decode_parts, encode_instance
 
 DERIVED = DerivedValues(
     factor=1, beams=100, scan_time_ms=40, start_deg=-47.5, step_deg=0.390625, interbeam_us=43

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from amr_drivers.errors import BadTelegram
+from amr_drivers.sick_safety.blocks import Beams, DerivedValues, Header, Instance, Status, ranges_m
 from amr_drivers.sick_safety.datagrams import (
     MAX_INSTANCE,
     MAX_OPEN,
@@ -18,15 +19,9 @@ from amr_drivers.sick_safety.datagrams import (
 from amr_drivers.sick_safety.instance import (
     HEADER,
     MAX_BEAMS,
-    Beams,
-    DerivedValues,
-    Header,
-    Instance,
-    Status,
     decode_instance,
     decode_parts,
     encode_instance,
-    ranges_m,
 )
 
 _KEPT = 4

@@ -221,7 +221,7 @@ class FrameReader:
         self._buffer = bytearray()
         self._damaged = 0
         self._skipping = False
-        self._wanted = _LEAST
+        self._wanted = _LEAST  # bytes that must be there before anything can be told
 
     @property
     def damaged(self) -> int:
@@ -252,30 +252,30 @@ class FrameReader:
             if at < 0:
                 # The last bytes may be the beginning of a start.
                 self._skip(len(buffer) - _trailing_start(buffer))
-                return self._wait_for(_LEAST)
+                self._wanted = _LEAST
+                return None
             self._skip(at)
             if len(buffer) < _LEAST:
-                return self._wait_for(_LEAST)
+                self._wanted = _LEAST
+                return None
             length = _announced(buffer)
             if length is None:
                 self._skip(1)
                 continue
             if len(buffer) < min(length, _LEAST + _ADDRESS):
-                return self._wait_for(min(length, _LEAST + _ADDRESS))
+                self._wanted = min(length, _LEAST + _ADDRESS)
+                return None
             if not self._is_credible(length):
                 self._skip(1)
                 continue
             if len(buffer) < length:
-                return self._wait_for(length)
+                self._wanted = length
+                return None
             frame = decode_frame(bytes(buffer[:length]))
             del buffer[:length]
             self._skipping = False
             self._wanted = _LEAST
             return frame
-
-    def _wait_for(self, length: int) -> None:
-        """Nothing can be told before so many bytes are there."""
-        self._wanted = length
 
     def _is_credible(self, length: int) -> bool:
         """Whether command and mode are letters that a telegram has, for lengths prove nothing."""

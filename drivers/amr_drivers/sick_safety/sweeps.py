@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from amr_drivers.errors import BadTelegram
-from amr_drivers.sick_safety.instance import Header, Instance, Status, decode_instance, ranges_m
+from amr_drivers.sick_safety.blocks import Header, Instance, Status, ranges_m
+from amr_drivers.sick_safety.instance import decode_instance
 from amr_drivers.sick_safety.settings import Settings
 from amr_drivers.sick_safety.variables import AHEAD_DEG
 from amr_drivers.timing import ArrivalClock

@@ -12,10 +12,11 @@ import numpy as np
 
 from amr_drivers.background import ScanDecoder
 from amr_drivers.emulators.safety import MICROSCAN3, NANOSCAN3, EmulatedSafety, SafetyModel
+from amr_drivers.sick_safety.blocks import Beams, Header, Instance, Status
 from amr_drivers.sick_safety.cola2 import Command, Frame, encode_frame
 from amr_drivers.sick_safety.datagrams import fragments
 from amr_drivers.sick_safety.driver import Polled, Streamed, open_scanner, scan_decoder
-from amr_drivers.sick_safety.instance import Beams, Header, Instance, Status, encode_instance
+from amr_drivers.sick_safety.instance import encode_instance
 from amr_drivers.sick_safety.settings import Settings
 from amr_slam.samples import Tap, untapped
 

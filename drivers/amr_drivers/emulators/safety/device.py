@@ -11,16 +11,9 @@ import numpy as np
 from amr_drivers.emulators.safety.models import SafetyModel
 from amr_drivers.errors import BadTelegram
 from amr_drivers.sick_safety import variables
+from amr_drivers.sick_safety.blocks import INFINITE, VALID, Beams, Header, Instance, Status
 from amr_drivers.sick_safety.cola2 import NO_SESSION_LEFT, UNKNOWN_SESSION, Command, Frame
-from amr_drivers.sick_safety.instance import (
-    INFINITE,
-    VALID,
-    Beams,
-    Header,
-    Instance,
-    Status,
-    encode_instance,
-)
+from amr_drivers.sick_safety.instance import encode_instance
 from amr_slam.geometry import Array
 
 Mode = Literal["measuring", "standby", "contaminated", "dirty", "error"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from amr_drivers.sick_safety.instance import DerivedValues
+from amr_drivers.sick_safety.blocks import DerivedValues
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
