@@ -29,6 +29,7 @@ _SCANNERS = {
     "mock": "amr_drivers.mock.scanner",
     "replay": "amr_drivers.replay.scanner",
     "sick_s300": "amr_drivers.sick_s300.driver",
+    "sick_safety": "amr_drivers.sick_safety.driver",
 }
 _ODOMETRY = {
     "can": "amr_drivers.can_odometry.driver",

@@ -38,6 +38,14 @@ class TcpStream:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.settimeout(1.0)
 
+    @property
+    def own_host(self) -> str:
+        """Address of this machine as the device sees it. Raises LinkLost after ``close``."""
+        try:
+            return str(self._socket.getsockname()[0])
+        except OSError as error:
+            raise LinkLost(f"{self._name}: {error.strerror or error}") from error
+
     def read(self, timeout_s: float) -> bytes:
         """What arrived, as soon as anything did; ``b""`` when nothing came in time.
 
