@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
@@ -44,8 +46,9 @@ class Rig(Protocol):
     def open(self, tap: Tap = untapped) -> Scanner:
         """The driver, as the service opens it. Raises DriverError."""
 
-    def decoder(self, start_ns: int) -> ScanDecoder:
-        """What turns recorded bytes of this driver into scans, as its ``scan_decoder``."""
+    def decoder(self, start_ns: int) -> ScanDecoder | None:
+        """What turns recorded bytes of this driver into scans: its module's ``scan_decoder`` with
+        the settings of :meth:`open`; None where the module has none."""
 
     def __enter__(self) -> Self: ...
 
@@ -55,3 +58,7 @@ class Rig(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+MakeRig = Callable[[Path], Rig]
+"""Gets an empty folder."""

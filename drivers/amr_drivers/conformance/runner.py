@@ -26,8 +26,6 @@ class Sweep:
     """What one sweep truly was."""
 
     number: int
-    stamp_ns: int
-    """Its first beam."""
     ended_ns: int
     """When the emulator was told of it."""
     ranges_m: Array
@@ -55,8 +53,10 @@ class Runner:
         self._rig = rig
         self._lock = threading.Lock()
         self._sweeps: deque[Sweep] = deque(maxlen=_REMEMBERED)
+        self._stamps_ns: dict[int, int] = {}
         self._count = 0
         self._before: deque[Callable[[], object]] = deque()
+        self._always: Callable[[], object] | None = None
         self._stopping = threading.Event()
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="conformance-runner", daemon=True)
@@ -70,6 +70,10 @@ class Runner:
         """Have something done between two sweeps, right before the next one."""
         self._before.append(act)
 
+    def before_each(self, act: Callable[[], object]) -> None:
+        """Have something done right before every sweep from now on."""
+        self._always = act
+
     def after(self, stamp_ns: int) -> Sweep | None:
         """The first sweep that ended at or after this instant; None while there is none."""
         with self._lock:
@@ -80,6 +84,10 @@ class Runner:
         with self._lock:
             newest_first = list(reversed(self._sweeps))
         return next((s for s in newest_first if equal(ranges_m, s.ranges_m, tolerance_m)), None)
+
+    def stamp_ns(self, number: int) -> int | None:
+        """The truth for a scan's stamp; None while the emulator is still about that sweep."""
+        return self._stamps_ns.get(number)
 
     def check(self) -> None:
         """Raises what the emulator raised in the thread: a fault of the rig, not of the driver."""
@@ -116,19 +124,14 @@ class Runner:
         while not self._stopping.wait(max(0, due_ns - time.monotonic_ns()) * 1e-9):
             while self._before:
                 self._before.popleft()()
+            if self._always is not None:
+                self._always()
             ranges = pattern(self._count, self._rig.beams)
-            ended_ns = time.monotonic_ns()
-            # Within the lock: a scan may be back before the emulator returns.
+            sweep = Sweep(number=self._count, ended_ns=time.monotonic_ns(), ranges_m=ranges)
+            # Before it leaves: the scan may be back before the emulator returns.
             with self._lock:
-                stamp_ns = self._rig.device.measure(ranges)
-                self._sweeps.append(
-                    Sweep(
-                        number=self._count,
-                        stamp_ns=stamp_ns,
-                        ended_ns=ended_ns,
-                        ranges_m=ranges,
-                    )
-                )
+                self._sweeps.append(sweep)
+            self._stamps_ns[sweep.number] = self._rig.device.measure(ranges)
             self._count += 1
             # A mirror that was held up goes on from where it is: no burst makes up for it.
             due_ns = max(due_ns + period_ns, time.monotonic_ns())
