@@ -193,7 +193,6 @@ def at_bench(
     folder: Path,
     *,
     prepare: Callable[[Rig], object] | None = None,
-    recorded: bool = True,
 ) -> Figures:
     """Run a scenario with a listener on a rig of its own; then nothing may be left behind.
 
@@ -204,7 +203,7 @@ def at_bench(
         if prepare is not None:
             prepare(rig)
         with Runner(rig) as runner:
-            with Listener(rig, runner, recorded=recorded) as listener:
+            with Listener(rig, runner) as listener:
                 bench = Bench(rig, runner, listener, stalls)
                 act(bench)
             figures = bench.figures()

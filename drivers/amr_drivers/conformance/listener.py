@@ -7,13 +7,14 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from types import TracebackType
 from typing import Final, Self
 
 from amr_drivers.conformance.rig import Rig
 from amr_drivers.conformance.runner import Runner, Sweep
 from amr_drivers.errors import DriverError
-from amr_slam.samples import RawBytes, Scan, Scanner
+from amr_slam.samples import RawBytes, Scan, Scanner, Way
 
 _READ_S: Final = 0.02
 """Shorter than the service's 0.2 s: when a fault was known is wanted to the hundredth."""
@@ -54,11 +55,10 @@ class Session:
 class Listener:
     """The service's device thread in small, with a memory of everything; a context manager."""
 
-    def __init__(self, rig: Rig, runner: Runner, *, recorded: bool = True) -> None:
-        """``recorded`` False: what passes on the line is not kept (a flood would fill memory)."""
+    def __init__(self, rig: Rig, runner: Runner) -> None:
         self._rig = rig
         self._runner = runner
-        self._recorded = recorded
+        self._recording = True
         self._news = threading.Condition()
         self.given: list[Given] = []
         self.said: list[Said] = []
@@ -80,6 +80,15 @@ class Listener:
                 self._news.wait(min(left_s, _LOOK_S))
                 self._check()
         return true
+
+    def stop_recording(self) -> bytes:
+        """Before more passes on the line than memory is for. What was received so far."""
+        self._recording = False
+        heard = b"".join(raw.data for raw in self.sessions[-1].raw if raw.way is Way.RECEIVED)
+        # Half a recording gives half of the scans.
+        for session in self.sessions:
+            session.raw.clear()
+        return heard
 
     @contextmanager
     def busy_elsewhere(self) -> Iterator[None]:
@@ -146,7 +155,7 @@ class Listener:
 
     def _serve(self) -> None:
         session = Session(opened_ns=time.monotonic_ns())
-        scanner = self._rig.open(session.raw.append if self._recorded else lambda _raw: None)
+        scanner = self._rig.open(partial(self._record, session))
         self.sessions.append(session)
         try:
             while not self._stopping.is_set():
@@ -156,6 +165,10 @@ class Listener:
                 self._say(complaint)
         finally:
             self._close(scanner)
+
+    def _record(self, session: Session, raw: RawBytes) -> None:
+        if self._recording:
+            session.raw.append(raw)
 
     def _take(self, scan: Scan | None, session: Session) -> None:
         received_ns = time.monotonic_ns()

@@ -69,9 +69,9 @@ What the scenarios do: [writing-a-driver.md](writing-a-driver.md).
 
 | column | says |
 |---|---|
-| detected in | from the first sign of the fault (a missing scan: its sweep's end) \
+| detected in | from the first sign of the fault (a missing scan: its sweep) \
 until `status()` names it or `read` raises |
-| back in | from the end of the fault to the first true scan; what was lost is opened anew each 0.1 s |
+| back in | from the end of the fault to the first true scan; a lost one is reopened each 0.1 s |
 | scans lost | whole sweeps after the end of the fault that were not given, over all repetitions |
 | false scans | damaged, mixed, doubled, old, or with a wrong stamp |
 

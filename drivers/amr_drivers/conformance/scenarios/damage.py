@@ -22,8 +22,10 @@ _LEAST: Final = 4
 _SEEDS: Final = {"quick": 24, "full": 400}
 _FLOOD_BYTES: Final = 50_000_000
 _PIECE: Final = 1024
+_SHRED: Final = 48
+"""Bytes of a true telegram: its head, its middle or its end, never all of it."""
 _GROWTH_BYTES: Final = 16_000_000
-"""What the process may have grown by: not a third of the noise."""
+"""What the process may have grown by: less than two of the five kinds of noise."""
 
 
 def cut(make: MakeRig, folder: Path, effort: Effort) -> Figures:
@@ -72,26 +74,38 @@ def noise(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
 
 def flood(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
-    """50 MB as fast as the line takes them: noise, and beginnings of telegrams without an end."""
+    """50 MB as fast as the line takes them: of one byte each, of noise, of telegrams' pieces."""
 
     def act(bench: Bench) -> None:
         if not bench.settle():
             return
-        dice = random.Random(2)
-        pieces = [_noise(dice, _PIECE) for _ in range(16)]
+        heard = bench.listener.stop_recording()
         before = resident_bytes()
-        most = before
-        for n in range(_FLOOD_BYTES // _PIECE):
-            bench.device.send_bytes(pieces[n % len(pieces)])
-            if n % 256 == 0:
-                most = max(most, resident_bytes())
+        grown = 0
+        kinds = _floods(random.Random(2), heard)
+        for pieces in kinds:
+            for n in range(_FLOOD_BYTES // len(kinds) // _PIECE):
+                bench.device.send_bytes(pieces[n % len(pieces)])
+            grown = max(grown, resident_bytes() - before)
         bench.recover(bench.now())
         bench.content()
-        grown = max(most, resident_bytes()) - before
         bench.note = f"grown by {grown / 1e6:.1f} MB"
         bench.expect(grown <= _GROWTH_BYTES, f"memory grew by {grown / 1e6:.0f} MB")
 
-    return at_bench(act, make, folder, recorded=False)
+    return at_bench(act, make, folder)
+
+
+def _floods(dice: random.Random, heard: bytes) -> list[list[bytes]]:
+    """Kinds of noise, each as pieces to be sent in turn."""
+    starts = [dice.randrange(max(1, len(heard) - _SHRED)) for _ in range(_PIECE)]
+    shreds = b"".join(heard[start : start + _SHRED] for start in starts)
+    return [
+        [_PIECE * b"\x00"],
+        [_PIECE * b"\x02"],
+        [_PIECE * b"A"],
+        [_noise(dice, _PIECE) for _ in range(16)],
+        [shreds[n : n + _PIECE] for n in range(0, len(shreds), _PIECE)],
+    ]
 
 
 def _positions(bench: Bench, effort: Effort) -> list[int]:
