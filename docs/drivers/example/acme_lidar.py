@@ -1,7 +1,7 @@
 """A driver to copy: the ACME text-line scanner, which does not exist.
 
-It sends a line a sweep, by itself, over TCP: ``SCAN <counter> <OK|STANDBY> <mm> <mm> ...*<CRC-32>``.
-A range is millimetres, ``inf`` (no return) or ``nan`` (not measured). Pure Python, no options.
+It sends a line a sweep over TCP, unasked: ``SCAN <counter> <OK|STANDBY> <mm> <mm> ...*<CRC-32>``.
+A range is whole millimetres, ``inf`` (no return) or ``nan`` (not measured).
 """
 
 from __future__ import annotations
@@ -147,6 +147,6 @@ def open_scanner(name: str, settings: Settings, tap: Tap = untapped) -> Lidar:
     return Lidar(name, settings, tap)
 
 
-def scan_decoder(name: str, settings: Settings, start_ns: int) -> Decoder:
+def scan_decoder(name: str, settings: Settings, start_ns: int) -> Decoder:  # noqa: ARG001 - contract
     """What turns recorded bytes of this scanner into scans."""
     return Decoder(name, start_ns)

@@ -23,10 +23,10 @@ _DETECT_S: Final = 0.5
 _DETECT_PERIODS: Final = 2.5
 _NOTICE_S: Final = 0.1
 """What reading and asking may add: the listener asks for the status 50 times a second."""
-_START_S: Final = 10.0
+_START_S: Final = 5.0
 _SETTLED: Final = 3
 """Scans after which a driver is at work."""
-_PATIENCE: Final = 3.0
+_PATIENCE: Final = 2.0
 """Times a limit that are waited for: to say how much too late is better than "never"."""
 
 
@@ -45,6 +45,10 @@ class Figures:
     note: str = ""
     breaches: tuple[str, ...] = ()
     """Where the driver broke a limit; empty: passed."""
+
+
+class HopelessError(Exception):
+    """A breach after which there is nothing more to find out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,17 +81,16 @@ class Bench:
         if not condition:
             self.breaches.append(breach)
 
-    def settle(self) -> bool:
-        """Wait until the driver is at work. Without that there is nothing to find out."""
+    def settle(self) -> None:
+        """Wait until the driver is at work. Raises HopelessError."""
 
         def at_work() -> bool:
-            given = self.listener.given[-_SETTLED:]
-            return len(given) == _SETTLED and self.listener.complaint is None
+            return len(self.listener.given) >= enough and self.listener.complaint is None
 
+        enough = len(self.listener.given) + _SETTLED
         limit_s = _START_S + 2.0 * _SETTLED * self.rig.period_s
-        settled = self.listener.wait_for(at_work, limit_s)
-        self.expect(settled, f"not at work after {limit_s:.0f} s: {self.listener.complaint}")
-        return settled
+        if not self.listener.wait_for(at_work, limit_s):
+            raise HopelessError(f"not at work after {limit_s:.0f} s: {self.listener.complaint}")
 
     def sweeps(self, count: int) -> None:
         """Wait for so many further sweeps to end."""
@@ -117,7 +120,7 @@ class Bench:
     def detect(
         self, fault: Moment, *, by_absence: bool = True, periods: float = _DETECT_PERIODS
     ) -> str | None:
-        """Wait for the driver's complaint; its words.
+        """Wait for the driver's complaint; its words. Raises HopelessError.
 
         ``by_absence``: the fault shows by the end of the next sweep, with which the watch begins.
         ``periods``: so many may pass until it is known, where that is longer than 0.5 s.
@@ -129,8 +132,7 @@ class Bench:
         )
         said = self.listener.trouble_after(fault.stamp_ns)
         if said is None:
-            self.breaches.append(f"not noticed in {patience_s:.1f} s")
-            return None
+            raise HopelessError(f"not noticed in {patience_s:.1f} s")
         first = self.runner.after(fault.stamp_ns) if by_absence else None
         begun_ns = fault.stamp_ns if first is None else first.ended_ns
         detected_s = max(0.0, 1e-9 * (said.stamp_ns - begun_ns))
@@ -142,7 +144,7 @@ class Bench:
         return said.text
 
     def recover(self, over: Moment, *, spoilt: int = 0) -> None:
-        """Wait for a scan of a sweep that ended after the fault was over.
+        """Wait for a scan of a sweep that ended after the fault was over. Raises HopelessError.
 
         ``spoilt``: so many sweeps after it are its own victims and do not count as lost.
         """
@@ -151,10 +153,9 @@ class Bench:
         )
         given = self.listener.scan_of_sweep(over.sweep)
         if given is None or given.sweep is None:
-            self.breaches.append(
+            raise HopelessError(
                 f"not back in {_PATIENCE * BACK_S:.0f} s: {self.listener.complaint}"
             )
-            return
         back_s = 1e-9 * (given.received_ns - over.stamp_ns)
         self._back_s.append(back_s)
         self._lost = (self._lost or 0) + max(0, given.sweep.number - over.sweep - spoilt)
@@ -205,7 +206,10 @@ def at_bench(
         with Runner(rig) as runner:
             with Listener(rig, runner) as listener:
                 bench = Bench(rig, runner, listener, stalls)
-                act(bench)
+                try:
+                    act(bench)
+                except HopelessError as breach:
+                    bench.breaches.append(str(breach))
             figures = bench.figures()
     left = before.left_since()
     return replace(figures, breaches=(*figures.breaches, *left))

@@ -33,8 +33,7 @@ def cut(make: MakeRig, folder: Path, effort: Effort) -> Figures:
     what comes next; the next scan comes in time."""
 
     def act(bench: Bench) -> None:
-        if not bench.settle():
-            return
+        bench.settle()
         positions = _positions(bench, effort)
         for at_byte in positions:
             bench.recover(bench.between_sweeps(partial(bench.device.cut_next, at_byte)), spoilt=1)
@@ -48,8 +47,7 @@ def damaged(make: MakeRig, folder: Path, effort: Effort) -> Figures:
     """Every second telegram is damaged in one of the ways of its line: never a scan."""
 
     def act(bench: Bench) -> None:
-        if not bench.settle():
-            return
+        bench.settle()
         for seed in range(_affordable(bench, _SEEDS[effort], effort)):
             bench.recover(bench.between_sweeps(partial(bench.device.damage_next, seed)), spoilt=1)
         bench.content()
@@ -62,8 +60,7 @@ def noise(make: MakeRig, folder: Path, effort: Effort) -> Figures:
     """Up to 3000 bytes of noise between telegrams, half of them zero as in headers."""
 
     def act(bench: Bench) -> None:
-        if not bench.settle():
-            return
+        bench.settle()
         dice = random.Random(1)
         for _ in range(_affordable(bench, _SEEDS[effort], effort)):
             data = _noise(dice, dice.randrange(1, 3000))
@@ -77,8 +74,7 @@ def flood(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
     """50 MB as fast as the line takes them: of one byte each, of noise, of telegrams' pieces."""
 
     def act(bench: Bench) -> None:
-        if not bench.settle():
-            return
+        bench.settle()
         heard = bench.listener.stop_recording()
         before = resident_bytes()
         grown = 0

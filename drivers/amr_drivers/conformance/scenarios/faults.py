@@ -23,8 +23,7 @@ def silence(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         for _ in range(_TIMES[effort]):
-            if not bench.settle():
-                return
+            bench.settle()
             words = bench.detect(_set(bench, silent=True))
             bench.sweeps(_LONGER)
             bench.recover(_set(bench, silent=False))
@@ -39,8 +38,7 @@ def unplugged(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         for _ in range(_TIMES[effort]):
-            if not bench.settle():
-                return
+            bench.settle()
             pulled = bench.now()
             bench.device.unplug()
             bench.detect(pulled, by_absence=False)
@@ -58,11 +56,9 @@ def power_cycle(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         for _ in range(_TIMES[effort]):
-            if not bench.settle():
-                return
+            bench.settle()
             bench.recover(bench.between_sweeps(bench.device.power_cycle))
-            if not bench.settle():
-                return
+            bench.settle()
             _set(bench, silent=True)
             bench.sweeps(_DARK_SWEEPS)
             bench.between_sweeps(bench.device.power_cycle)
@@ -77,8 +73,7 @@ def frozen(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         for _ in range(_TIMES[effort]):
-            if not bench.settle():
-                return
+            bench.settle()
             words = bench.detect(_set(bench, frozen=True), periods=_FROZEN_PERIODS)
             bench.sweeps(_LONGER)
             bench.recover(_set(bench, frozen=False))
@@ -93,8 +88,7 @@ def standby(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         for _ in range(_TIMES[effort]):
-            if not bench.settle():
-                return
+            bench.settle()
             words = bench.detect(_set(bench, mode="standby"))
             bench.sweeps(_LONGER)
             bench.recover(_set(bench, mode="measuring"))

@@ -30,8 +30,7 @@ def measuring(make: MakeRig, folder: Path, effort: Effort) -> Figures:
     """Nothing is wrong. Every scan is true, none is missing in the long run, stamps are right."""
 
     def act(bench: Bench) -> None:
-        if not bench.settle():
-            return
+        bench.settle()
         first = bench.runner.count
         seconds = _SECONDS[effort]
         bench.sweeps(max(_LEAST, round(seconds / bench.rig.period_s)))
@@ -78,8 +77,7 @@ def slow_reader(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
     """Nobody reads for ten sweeps; then the newest scan is given, and no older one ever."""
 
     def act(bench: Bench) -> None:
-        if not bench.settle():
-            return
+        bench.settle()
         with bench.listener.busy_elsewhere():
             # The read that is under way may still give one.
             bench.sweeps(_NAP_SWEEPS)
