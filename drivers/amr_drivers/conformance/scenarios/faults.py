@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -108,7 +110,7 @@ def wrong_device(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
     return Figures(
         detected_s=max((f.detected_s for f in found.values() if f.detected_s), default=None),
         false=sum(f.false for f in found.values()),
-        note="; ".join(f"{name}: {f.note}" for name, f in found.items()),
+        note="says " + ", ".join(_distinct(f.note for f in found.values())),
         breaches=tuple(f"{name}: {text}" for name, f in found.items() for text in f.breaches),
     )
 
@@ -119,9 +121,14 @@ def _stranger(speech: bytes, make: MakeRig, folder: Path) -> Figures:
         words = bench.detect(bench.begun)
         bench.sweeps(_LONGER)
         bench.expect(not bench.listener.given, f"{len(bench.listener.given)} scans of a stranger")
-        bench.note = f"{words!r}"
+        bench.note = repr(words)
 
     return at_bench(act, make, folder, prepare=lambda rig: rig.device.be_another_device(speech))
+
+
+def _distinct(texts: Iterable[str]) -> list[str]:
+    """One of each text that differs by more than its numbers."""
+    return list({re.sub(r"[\d.]+", "", text): text for text in texts}.values())
 
 
 def _set(bench: Bench, **state: bool | str) -> Moment:

@@ -31,13 +31,13 @@ def measuring(make: MakeRig, folder: Path, effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         bench.settle()
-        first = bench.runner.count
+        settled = bench.now()
         seconds = _SECONDS[effort]
         bench.sweeps(max(_LEAST, round(seconds / bench.rig.period_s)))
-        _judge_rate(bench, first)
+        _judge_rate(bench, settled.sweep)
         _judge_stamps(bench)
-        complaints = [said.text for said in bench.listener.said[1:] if said.text is not None]
-        bench.expect(len(complaints) <= 1, f"complains of nothing: {complaints[-1:]}")
+        said = bench.listener.trouble_after(settled.stamp_ns)
+        bench.expect(said is None, f"complains of nothing: {said}")
 
     return at_bench(act, make, folder)
 
