@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from amr_drivers.background import BackgroundScanner
-from amr_drivers.errors import BadTelegram, LinkLost
+from amr_drivers.errors import LinkLost
 from amr_drivers.timing import ArrivalClock
 from amr_drivers.transport import TcpStream
 from amr_slam.geometry import Array
@@ -46,28 +46,21 @@ class Decoder:
     """An :class:`amr_drivers.background.ScanDecoder`: no socket, no clock."""
 
     def __init__(self, name: str, start_ns: int) -> None:
-        self._name, self._heard_ns, self._begun_ns = name, start_ns, start_ns
+        self._name, self._heard_ns = name, start_ns
         self._clock = ArrivalClock(latency_limit_ns=100_000_000)
-        self._rest, self._damaged, self._counter = b"", 0, -1
+        self._rest, self._begun_ns = b"", start_ns
+        self._damaged, self._counter = 0, -1
         self._hindrance: str | None = None
 
     def received(self, data: bytes, stamp_ns: int) -> list[Scan]:
-        *ends, rest = data.split(b"\n")
-        scans = []
-        for end in ends:
-            # A line is as old as its first byte.
-            begun_ns = self._begun_ns if self._rest else stamp_ns
-            line, self._rest = self._rest + end, b""
-            try:
-                scan = self._scan(line, begun_ns)
-            except BadTelegram:
-                self._damaged += 1
-                continue
-            self._heard_ns = stamp_ns
-            scans += [scan] if scan is not None else []
-        if not self._rest:
-            self._begun_ns = stamp_ns
-        self._rest = (self._rest + rest)[:_MAX_LINE]
+        # A line is as old as its first byte.
+        begun_ns = self._begun_ns if self._rest else stamp_ns
+        *lines, rest = (self._rest + data).split(b"\n")
+        scans: list[Scan] = []
+        for line in lines:
+            scans += self._scan(line, begun_ns, stamp_ns)
+            begun_ns = stamp_ns
+        self._rest, self._begun_ns = rest[:_MAX_LINE], begun_ns
         return scans
 
     def sent(self, data: bytes, stamp_ns: int) -> None:
@@ -85,31 +78,36 @@ class Decoder:
         """Since the last line that was understood, scan or not."""
         return 1e-9 * (now_ns - self._heard_ns)
 
-    def _scan(self, line: bytes, begun_ns: int) -> Scan | None:
-        counter, state, ranges_m = _parse(line)
-        repeated, self._counter = counter == self._counter, counter
-        self._hindrance = "frozen: the counter stands still" if repeated else None
-        if state != b"OK":
-            self._hindrance = state.decode("ascii").lower()
-        first_byte_ns = None if self._hindrance else self._clock.refine(counter, begun_ns)
-        if first_byte_ns is None:
-            return None
-        return Scan(
+    def _scan(self, line: bytes, begun_ns: int, stamp_ns: int) -> list[Scan]:
+        parsed = _parse(line)
+        if parsed is None:
+            self._damaged += 1
+            return []
+        counter, state, ranges_m = parsed
+        frozen = "frozen: the counter stands still" if counter == self._counter else None
+        self._hindrance = frozen if state == b"OK" else "standby"
+        self._counter, self._heard_ns = counter, stamp_ns
+        # None: waited somewhere for longer than lines and schedulers take, so it is old.
+        first_ns = None if self._hindrance else self._clock.refine(counter, begun_ns)
+        if first_ns is None:
+            return []
+        scan = Scan(
             scanner=self._name,
-            stamp_ns=first_byte_ns - round(1e9 * SWEEP_S),
+            stamp_ns=first_ns - round(1e9 * SWEEP_S),
             ranges_m=ranges_m,
             angle_min_rad=radians(-135.0),
             angle_step_rad=radians(1.0),
             sweep_s=SWEEP_S,
             seq=counter,
         )
+        return [scan]
 
 
-def _parse(line: bytes) -> tuple[int, bytes, Array]:
-    """Counter, state and (BEAMS,) ranges in m. Raises BadTelegram."""
+def _parse(line: bytes) -> tuple[int, bytes, Array] | None:
+    """Counter, state and (BEAMS,) ranges in m; None for what is no line of this scanner."""
     match = _LINE.fullmatch(line)
     if match is None or zlib.crc32(match[1]) != int(match[5], 16):
-        raise BadTelegram("not a line of this scanner")
+        return None
     return int(match[2]), match[3], 1e-3 * np.array(match[4].split(), dtype=np.float64)
 
 
