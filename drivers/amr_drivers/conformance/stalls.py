@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
+import tty
 from collections import deque
 from types import TracebackType
 from typing import Final, Self
@@ -14,15 +16,18 @@ _NAP_S: Final = 0.005
 
 
 class Stalls:
-    """A thread that naps, and notes by how much it overslept; a context manager.
+    """A thread that naps, then sends itself a byte over a pseudo-terminal, and notes by how much
+    both came late; a context manager.
 
-    What a busy machine (or whoever holds Python's lock) does to this thread it does to the
-    driver's, too: what was measured is judged with that much more patience.
+    What a busy machine (or whoever holds Python's lock, or the kernel's worker for serial lines)
+    does to this thread it does to the driver's, too: what was measured is judged with that much
+    more patience.
     """
 
     def __init__(self) -> None:
         self._naps: deque[tuple[int, float]] = deque(maxlen=20_000)
         self._stopping = threading.Event()
+        self._ends: tuple[int, int] | None = None
         self._thread = threading.Thread(target=self._run, name="conformance-stalls", daemon=True)
 
     def worst_s(self, since_ns: int, until_ns: int | None = None) -> float:
@@ -43,6 +48,9 @@ class Stalls:
         ]
 
     def __enter__(self) -> Self:
+        sender, receiver = os.openpty()
+        tty.setraw(receiver)
+        self._ends = sender, receiver
         self._thread.start()
         return self
 
@@ -54,11 +62,17 @@ class Stalls:
     ) -> None:
         self._stopping.set()
         self._thread.join()
+        for end in self._ends or ():
+            os.close(end)
 
     def _run(self) -> None:
+        assert self._ends is not None
+        sender, receiver = self._ends
         while True:
             begun_ns = time.monotonic_ns()
             if self._stopping.wait(_NAP_S):
                 return
+            os.write(sender, b"?")
+            os.read(receiver, 1)
             ended_ns = time.monotonic_ns()
             self._naps.append((ended_ns, max(0.0, 1e-9 * (ended_ns - begun_ns) - _NAP_S)))
