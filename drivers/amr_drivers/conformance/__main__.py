@@ -51,9 +51,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", nargs="+", choices=list(SCENARIOS), help="some scenarios")
     parser.add_argument(
         "--effort",
-        choices=("quick", "full"),
-        default="full",
-        help="quick: as in the tests; full: every byte of a telegram is cut at",
+        choices=("quick", "thorough", "full"),
+        default="thorough",
+        help="quick: as in the tests, half a minute a driver; thorough: some minutes; full: every "
+        "byte of a telegram is cut at, an hour or more",
     )
     parser.add_argument("--write", type=Path, metavar="PAGE", help="write the table as Markdown")
     return parser

@@ -43,7 +43,7 @@ def page(results: Sequence[Result], effort: str) -> str:
     parts = [
         _HEAD.format(
             command=COMMAND,
-            effort="" if effort == "quick" else f" --effort {effort}",
+            effort="" if effort == "thorough" else f" --effort {effort}",
             drivers=len(rigs),
             scenarios=len({result.scenario for result in results}),
             machine=machine,

@@ -27,7 +27,8 @@ class Stalls:
     def __init__(self) -> None:
         self._naps: deque[tuple[int, float]] = deque(maxlen=20_000)
         self._stopping = threading.Event()
-        self._ends: tuple[int, int] | None = None
+        self._sender, self._receiver = os.openpty()
+        tty.setraw(self._receiver)
         self._thread = threading.Thread(target=self._run, name="conformance-stalls", daemon=True)
 
     def worst_s(self, since_ns: int, until_ns: int | None = None) -> float:
@@ -48,9 +49,6 @@ class Stalls:
         ]
 
     def __enter__(self) -> Self:
-        sender, receiver = os.openpty()
-        tty.setraw(receiver)
-        self._ends = sender, receiver
         self._thread.start()
         return self
 
@@ -62,17 +60,15 @@ class Stalls:
     ) -> None:
         self._stopping.set()
         self._thread.join()
-        for end in self._ends or ():
-            os.close(end)
+        os.close(self._sender)
+        os.close(self._receiver)
 
     def _run(self) -> None:
-        assert self._ends is not None
-        sender, receiver = self._ends
         while True:
             begun_ns = time.monotonic_ns()
             if self._stopping.wait(_NAP_S):
                 return
-            os.write(sender, b"?")
-            os.read(receiver, 1)
+            os.write(self._sender, b"?")
+            os.read(self._receiver, 1)
             ended_ns = time.monotonic_ns()
             self._naps.append((ended_ns, max(0.0, 1e-9 * (ended_ns - begun_ns) - _NAP_S)))

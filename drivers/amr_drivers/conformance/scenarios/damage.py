@@ -12,14 +12,14 @@ from amr_drivers.conformance.leaks import resident_bytes
 from amr_drivers.conformance.rig import MakeRig
 from amr_drivers.conformance.scenarios.scenario import Effort
 
-_HEADER: Final = 16
+_HEADER: Final = {"quick": 16, "thorough": 64}
 """Bytes of a telegram that are all cut at; beyond them, evenly."""
-_BODY: Final = 12
-_QUICK_S: Final = 4.0
+_BODY: Final = {"quick": 12, "thorough": 136}
+_SECONDS: Final = {"quick": 4.0, "thorough": 60.0}
 _TURNS: Final = 4
 """Periods that a cut or a damage takes until the next true scan, and a little more."""
 _LEAST: Final = 4
-_SEEDS: Final = {"quick": 24, "full": 400}
+_SEEDS: Final = {"quick": 24, "thorough": 200, "full": 1000}
 _FLOOD_BYTES: Final = 50_000_000
 _PIECE: Final = 1024
 _SHRED: Final = 48
@@ -108,8 +108,8 @@ def _positions(bench: Bench, effort: Effort) -> list[int]:
     length = bench.rig.telegram_bytes
     if effort == "full":
         return list(range(length))
-    header = range(min(_HEADER, length))
-    body = [length - 1 - n * (length - len(header)) // _BODY for n in range(_BODY)]
+    header, parts = range(min(_HEADER[effort], length)), _BODY[effort]
+    body = [length - 1 - n * (length - len(header)) // parts for n in range(parts)]
     chosen = sorted({*header, *(at for at in body if at >= 0)})
     count = _affordable(bench, len(chosen), effort)
     return [chosen[n * len(chosen) // count] for n in range(count)]
@@ -119,7 +119,7 @@ def _affordable(bench: Bench, wanted: int, effort: Effort) -> int:
     """How many faults a slow scanner has time for."""
     if effort == "full":
         return wanted
-    return min(wanted, max(_LEAST, round(_QUICK_S / (_TURNS * bench.rig.period_s))))
+    return min(wanted, max(_LEAST, round(_SECONDS[effort] / (_TURNS * bench.rig.period_s))))
 
 
 def _noise(dice: random.Random, count: int) -> bytes:

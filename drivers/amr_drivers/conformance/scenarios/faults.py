@@ -12,7 +12,7 @@ from amr_drivers.conformance.rig import MakeRig
 from amr_drivers.conformance.scenarios.scenario import Effort
 from amr_drivers.conformance.speeches import SPEECHES
 
-_TIMES: Final = {"quick": 1, "full": 5}
+_TIMES: Final = {"quick": 1, "thorough": 5, "full": 20}
 _LONGER: Final = 3
 """Sweeps that a fault lasts on after it was noticed: nothing may come meanwhile."""
 _FROZEN_PERIODS: Final = 3.0

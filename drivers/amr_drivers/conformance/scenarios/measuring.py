@@ -14,7 +14,7 @@ from amr_drivers.conformance.rig import MakeRig
 from amr_drivers.conformance.scenarios.scenario import Effort
 from amr_drivers.conformance.verdict import stamp_errors_s
 
-_SECONDS: Final = {"quick": 2.0, "full": 20.0}
+_SECONDS: Final = {"quick": 2.0, "thorough": 20.0, "full": 120.0}
 _LEAST: Final = 5
 """Sweeps of a slow scanner."""
 _WARM: Final = 8

@@ -9,8 +9,8 @@ from typing import Literal
 from amr_drivers.conformance.bench import Figures
 from amr_drivers.conformance.rig import MakeRig
 
-Effort = Literal["quick", "full"]
-"""quick: seconds a scenario, for tests; full: every byte."""
+Effort = Literal["quick", "thorough", "full"]
+"""quick: seconds a scenario, for tests; thorough: a minute at most; full: every byte, hours."""
 
 Scenario = Callable[[MakeRig, Path, Effort], Figures]
 """One fault, or none at all, on a rig that is made for it in an empty folder."""

@@ -25,7 +25,7 @@ _CONNECT_S: Final = 3.0
 _OPEN_S: Final = 0.3
 """Open for so long before it is closed: whatever a driver does then is under way."""
 _LONG_S: Final = 60.0
-_ROUNDS: Final = {"quick": 10, "full": 100}
+_ROUNDS: Final = {"quick": 10, "thorough": 50, "full": 200}
 _FLOOD: Final = 64 * (b"\x00\x02\x55\xaa" * 256,)
 """What a full line holds: more than any kernel keeps of it is sent between two sweeps."""
 
