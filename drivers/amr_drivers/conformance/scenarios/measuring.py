@@ -84,14 +84,15 @@ def slow_reader(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
 
     def act(bench: Bench) -> None:
         bench.settle()
+        begun_ns = time.monotonic_ns()
         with bench.listener.busy_elsewhere():
             # The read that is under way may still give one.
             bench.sweeps(_NAP_SWEEPS)
             given = len(bench.listener.given)
-            woken_ns, count = time.monotonic_ns(), bench.runner.count
+            count = bench.runner.count
         bench.listener.wait_for(lambda: len(bench.listener.given) > given, BACK_S)
         late = [item.sweep for item in bench.listener.given[given:]]
-        stalled = math.ceil(bench.stalls.worst_s(woken_ns) / bench.rig.period_s)
+        stalled = math.ceil(bench.stalls.worst_s(begun_ns) / bench.rig.period_s)
         newest = late[0].number if late and late[0] is not None else None
         bench.expect(newest is not None, f"no true scan in {BACK_S:.0f} s after the pause")
         if newest is not None:
