@@ -35,9 +35,9 @@ class Stalls:
         """The longest delay between two instants; None: until now."""
         return float(max(self._between(since_ns, until_ns), default=0.0))
 
-    def median_s(self, since_ns: int) -> float:
-        """The usual delay since then."""
-        return float(np.median(self._between(since_ns, None) or [0.0]))
+    def usual_s(self, since_ns: int) -> float:
+        """The delay that nine in ten stay below."""
+        return float(np.quantile(self._between(since_ns, None) or [0.0], 0.9))
 
     def _between(self, since_ns: int, until_ns: int | None) -> list[float]:
         # A nap that began before the end of the time counts with all its delay.
