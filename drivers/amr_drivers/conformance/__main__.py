@@ -32,7 +32,7 @@ def main() -> int:
             sys.stdout.flush()
     if arguments.write is not None:
         arguments.write.write_text(page(results, arguments.effort), encoding="utf-8")
-    return int(any(result.figures.breaches for result in results))
+    return int(not all(result.figures.passed for result in results))
 
 
 def _parser() -> argparse.ArgumentParser:

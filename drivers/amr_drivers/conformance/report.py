@@ -25,7 +25,7 @@ class Result:
 def line(result: Result) -> str:
     """One line for the terminal."""
     figures = result.figures
-    verdict = "passed" if not figures.breaches else "BREACH"
+    verdict = "passed" if figures.passed else "BREACH"
     told = [
         f"{name} {value}"
         for name, value in zip(_COLUMNS, _cells(figures), strict=True)
@@ -33,7 +33,7 @@ def line(result: Result) -> str:
     ]
     words = [*told, figures.note] if figures.note else told
     lines = [f"{verdict}  {result.rig}: {result.scenario}: {', '.join(words)}"]
-    return "\n".join([*lines, *(f"        {breach}" for breach in figures.breaches)])
+    return "\n".join([*lines, *(f"        {text}" for text in (*figures.breaches, *figures.late))])
 
 
 def page(results: Sequence[Result], effort: str) -> str:
@@ -48,7 +48,7 @@ def page(results: Sequence[Result], effort: str) -> str:
             scenarios=len({result.scenario for result in results}),
             machine=machine,
             python=platform.python_version(),
-            breaches=sum(bool(result.figures.breaches) for result in results),
+            breaches=sum(not result.figures.passed for result in results),
         )
     ]
     for rig in rigs:
@@ -82,7 +82,11 @@ Times are the longest of all repetitions; - where a scenario has no such figure.
 def _table(own: Mapping[str, Figures]) -> str:
     lines = [f"| fault | {' | '.join(_COLUMNS)} | |", f"|---|{'---|' * len(_COLUMNS)}---|"]
     for scenario, figures in own.items():
-        words = "; ".join([figures.note, *figures.breaches]).strip("; ").replace("|", "/")
+        words = (
+            "; ".join([figures.note, *figures.breaches, *figures.late])
+            .strip("; ")
+            .replace("|", "/")
+        )
         lines.append(f"| {scenario} | {' | '.join(_cells(figures))} | {words} |")
     return "\n".join(lines) + "\n"
 

@@ -112,6 +112,7 @@ def wrong_device(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
         false=sum(f.false for f in found.values()),
         note="says " + ", ".join(_distinct(f.note for f in found.values())),
         breaches=tuple(f"{name}: {text}" for name, f in found.items() for text in f.breaches),
+        late=tuple(f"{name}: {text}" for name, f in found.items() for text in f.late),
     )
 
 

@@ -43,7 +43,7 @@ def measuring(make: MakeRig, folder: Path, effort: Effort) -> Figures:
         still_s = bench.stalls.worst_s(settled.stamp_ns)
         # Where nothing came through for so long, the driver has something to complain of.
         paused = still_s > max(_PAUSE_S, bench.rig.period_s)
-        bench.expect(said is None or paused, f"complains of nothing: {said}")
+        bench.expect_in_time(said is None or paused, f"complains of nothing: {said}")
 
     return at_bench(act, make, folder)
 
@@ -54,10 +54,12 @@ def _judge_rate(bench: Bench, first: int) -> None:
         for given in bench.listener.given
         if given.sweep is not None and given.sweep.number >= first
     ]
-    bench.expect(len(numbers) >= 2, f"{len(numbers)} scans of {bench.runner.count - first} sweeps")
+    bench.expect_in_time(
+        len(numbers) >= 2, f"{len(numbers)} scans of {bench.runner.count - first} sweeps"
+    )
     if len(numbers) >= 2:
         step = float(np.median(np.diff(numbers)))
-        bench.expect(step <= _MISSED, f"gives one scan in {step:g} sweeps")
+        bench.expect_in_time(step <= _MISSED, f"gives one scan in {step:g} sweeps")
 
 
 def _judge_stamps(bench: Bench) -> None:
@@ -69,11 +71,11 @@ def _judge_stamps(bench: Bench) -> None:
     begun_ns = bench.listener.given[0].received_ns
     tolerance_s = bench.rig.stamp_tolerance_s
     allowed_s = tolerance_s + bench.stalls.usual_s(begun_ns)
-    bench.expect(
+    bench.expect_in_time(
         median_s <= allowed_s, f"stamps are off by {median_s:.4f} s instead of {allowed_s:.4f}"
     )
     allowed_s = _P90 * tolerance_s + bench.stalls.worst_s(begun_ns)
-    bench.expect(
+    bench.expect_in_time(
         p90_s <= allowed_s, f"one stamp in ten is off by {p90_s:.4f} s instead of {allowed_s:.4f}"
     )
     bench.note = f"stamps off by {1e3 * median_s:.1f} ms, 90 % below {1e3 * p90_s:.1f} ms"
@@ -94,9 +96,11 @@ def slow_reader(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
         late = [item.sweep for item in bench.listener.given[given:]]
         stalled = math.ceil(bench.stalls.worst_s(begun_ns) / bench.rig.period_s)
         newest = late[0].number if late and late[0] is not None else None
-        bench.expect(newest is not None, f"no true scan in {BACK_S:.0f} s after the pause")
+        bench.expect_in_time(newest is not None, f"no true scan in {BACK_S:.0f} s after the pause")
         if newest is not None:
             behind = count - 1 - newest
-            bench.expect(behind <= _BEHIND + stalled, f"gives the scan of {behind} sweeps before")
+            bench.expect_in_time(
+                behind <= _BEHIND + stalled, f"gives the scan of {behind} sweeps before"
+            )
 
     return at_bench(act, make, folder)

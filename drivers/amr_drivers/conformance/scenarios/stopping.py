@@ -33,7 +33,7 @@ _FLOOD: Final = 64 * (b"\x00\x02\x55\xaa" * 256,)
 def stop(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
     """Closed while a read waits: both are over within 0.5 s, whatever the device does."""
     before = Belongings.now()
-    breaches: list[str] = []
+    late: list[str] = []
     slowest_s = 0.0
     with Stalls() as stalls, make(folder) as rig, Runner(rig) as runner:
         for state, act in _states(rig, runner).items():
@@ -41,24 +41,31 @@ def stop(make: MakeRig, folder: Path, _effort: Effort) -> Figures:
             for open_s in (0.0, _OPEN_S):
                 took_s, found = _closed(rig, open_s, stalls)
                 slowest_s = max(slowest_s, took_s)
-                breaches += [f"{state}: {breach}" for breach in found]
-    return Figures(note=f"slowest {slowest_s:.2f} s", breaches=(*breaches, *before.left_since()))
+                late += [f"{state}: {text}" for text in found]
+    return Figures(
+        note=f"slowest {slowest_s:.2f} s", breaches=tuple(before.left_since()), late=tuple(late)
+    )
 
 
 def open_and_close(make: MakeRig, folder: Path, effort: Effort) -> Figures:
     """Again and again: nothing is left behind, and each time it works."""
     before = Belongings.now()
     breaches: list[str] = []
+    late: list[str] = []
     with make(folder) as rig, Runner(rig):
         for _ in range(_ROUNDS[effort]):
             scanner = rig.open()
             if scanner.read(_LONG_S) is None:
-                breaches.append(f"no scan in {_LONG_S:.0f} s")
+                late.append(f"no scan in {_LONG_S:.0f} s")
             scanner.close()
             scanner.close()
             if not scanner.info().model:
                 breaches.append("has no model")
-    return Figures(note=f"{_ROUNDS[effort]} times", breaches=(*breaches, *before.left_since()))
+    return Figures(
+        note=f"{_ROUNDS[effort]} times",
+        breaches=(*breaches, *before.left_since()),
+        late=tuple(late),
+    )
 
 
 def _states(rig: Rig, runner: Runner) -> dict[str, Callable[[], object]]:
@@ -93,18 +100,18 @@ def _states(rig: Rig, runner: Runner) -> dict[str, Callable[[], object]]:
 
 
 def _closed(rig: Rig, open_s: float, stalls: Stalls) -> tuple[float, list[str]]:
-    """How long close and the waiting read took, and breaches."""
+    """How long close and the waiting read took, and what was late."""
     begun_ns = time.monotonic_ns()
     try:
         scanner = rig.open()
     except DriverError:
         scanner = None
     opening_s = 1e-9 * (time.monotonic_ns() - begun_ns)
-    breaches = []
+    late = []
     if opening_s > _CONNECT_S + stalls.worst_s(begun_ns):
-        breaches.append(f"opening took {opening_s:.2f} s")
+        late.append(f"opening took {opening_s:.2f} s")
     if scanner is None:
-        return 0.0, breaches
+        return 0.0, late
     reader = threading.Thread(target=_read_all, args=(scanner,), name="conformance-reader")
     reader.start()
     reader.join(open_s)
@@ -114,8 +121,8 @@ def _closed(rig: Rig, open_s: float, stalls: Stalls) -> tuple[float, list[str]]:
     took_s = 1e-9 * (time.monotonic_ns() - closing_ns)
     allowed_s = CLOSE_S + stalls.worst_s(closing_ns)
     if took_s > allowed_s:
-        breaches.append(f"close took {took_s:.2f} s instead of {allowed_s:.2f}")
-    return took_s, breaches
+        late.append(f"close took {took_s:.2f} s instead of {allowed_s:.2f}")
+    return took_s, late
 
 
 def _read_all(scanner: Scanner) -> None:
