@@ -3,8 +3,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SECONDS ?= 60
+TARGET ?= all
+RUNS ?= 1000000
 
-.PHONY: install demo test check bench evaluate peers clean lock
+.PHONY: install demo test check bench fuzz evaluate peers clean lock
 
 install: $(VENV)/.installed          ## .venv with amr-slam in it, as robots get it
 
@@ -37,6 +39,14 @@ check: $(VENV)/.dev                  ## style, types, layers
 
 bench: $(VENV)/.dev                  ## what is measured: side by side, never asserted
 	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/scanners.py
+
+$(VENV)/.fuzz: requirements-fuzz.lock $(VENV)/.dev
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-fuzz.lock
+	@touch $@
+
+fuzz: $(VENV)/.fuzz                  ## parsers against odd bytes: make fuzz TARGET=s300_stream RUNS=10000000
+	$(BIN)/python tools/fuzz.py $(TARGET) --runs $(RUNS) $(ARGS)
 
 $(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
@@ -52,8 +62,10 @@ lock: $(VENV)/.dev                   ## renew the pinned versions (needs uv)
 	  --no-emit-index-url --quiet pyproject.toml requirements-build.in -o requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \
 	  --no-emit-index-url --quiet -c requirements.lock --group dev pyproject.toml -o requirements-dev.lock
-	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \
-	  --no-emit-index-url --quiet -c requirements-dev.lock --group peers -o requirements-peers.lock
+	for group in peers fuzz; do \
+	  uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \
+	    --no-emit-index-url --quiet -c requirements-dev.lock --group $$group -o requirements-$$group.lock || exit 1; \
+	done
 
 clean:
 	rm -rf $(VENV) build out *.egg-info

@@ -16,7 +16,6 @@ from typing import Final, ParamSpec, TypeVar
 
 import numpy as np
 
-from amr_drivers.sick_s300 import telegrams
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
 from amr_slam.engine import SlamEngine, SlamRequest
 from amr_slam.fusion import FilterParams, PoseFilter
@@ -118,7 +117,7 @@ def main() -> int:
     _table(
         "Everything else",
         ("what", "median", "p99", "unit"),
-        [*fusing(), parsing(), *growing(scene), localizing()],
+        [*fusing(), *growing(scene), localizing()],
     )
     print(f"measured in {time.process_time() - begun_s:.0f} s")
     return 0
@@ -190,34 +189,6 @@ def fusing() -> list[tuple[str, ...]]:
         ("filter: one delayed fix", *_quantiles(correcting, 1e6), "us"),
         ("filter: the pose to publish", *_quantiles(estimating, 1e6), "us"),
     ]
-
-
-def parsing() -> tuple[str, ...]:
-    """S300 telegrams of 541 beams as a serial port gives them: 256 bytes at a time."""
-    words = telegrams.words_from_ranges(np.linspace(1.0, 20.0, 541))
-    stream = b"".join(
-        telegrams.encode(
-            telegrams.Telegram(
-                address=7,
-                version=0x0103,
-                status=0,
-                scan_number=number.to_bytes(4, "little"),
-                telegram_number=(number & 0xFFFF).to_bytes(2, "little"),
-                output=telegrams.Output.MEASURED,
-                payload=telegrams.encode_words(words),
-            )
-        )
-        for number in range(500)
-    )
-    rates: list[float] = []
-    for _ in range(5):
-        reader = telegrams.TelegramReader(541)
-        begun_s = time.process_time()
-        got = sum(len(reader.feed(stream[i : i + 256])) for i in range(0, len(stream), 256))
-        rates.append(1e-6 * len(stream) / (time.process_time() - begun_s))
-        if got != 500:
-            raise RuntimeError(f"{got} of 500 telegrams came through")
-    return ("S300 telegrams: bytes to values", f"{np.median(rates):.1f}", "", "MB/s")
 
 
 def growing(scene: Scene) -> list[tuple[str, ...]]:
