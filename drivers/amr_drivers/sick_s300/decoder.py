@@ -6,7 +6,7 @@ from math import radians
 
 from amr_drivers.errors import BadTelegram
 from amr_drivers.sick_s300.scan_counter import ScanCounter
-from amr_drivers.sick_s300.settings import Settings
+from amr_drivers.sick_s300.settings import ADDRESSES, Settings
 from amr_drivers.sick_s300.telegrams import (
     RANGE_MAX_M,
     Output,
@@ -18,8 +18,6 @@ from amr_drivers.sick_s300.telegrams import (
 )
 from amr_drivers.timing import ArrivalClock, Arrivals
 from amr_slam.samples import Scan
-
-_ADDRESSES = {"host": 7, "guest": 8}
 
 
 class ContinuousDecoder:
@@ -45,7 +43,7 @@ class ContinuousDecoder:
         scans: list[Scan] = []
         self._arrivals.add(self._reader.position, stamp_ns)
         for telegram in self._reader.feed(data):
-            if telegram.address != _ADDRESSES[self._settings.device_address]:
+            if telegram.address != ADDRESSES[self._settings.device_address]:
                 self._other = f"telegrams of device address {telegram.address:02d}", stamp_ns
             elif telegram.output is not Output.MEASURED:
                 self._other = f"telegrams of {telegram.output.name.lower()}", stamp_ns

@@ -30,11 +30,17 @@ class ByteStream:
         self._port_name = port
         self._reading = threading.Lock()
         self._closed = threading.Event()
+        self._is_rfc2217 = port.startswith("rfc2217://")
         try:
             # The lock on the port is advisory, but it stops a second copy of this program from
             # stealing every other byte.
             self._port = serial.serial_for_url(
-                port, baudrate=baud_rate, timeout=_SLICE_S, write_timeout=1.0, exclusive=True
+                port,
+                baudrate=baud_rate,
+                timeout=_SLICE_S,
+                # pyserial's RFC 2217 port refuses to be given a time limit for writing.
+                write_timeout=None if self._is_rfc2217 else 1.0,
+                exclusive=True,
             )
         except ValueError as error:
             raise ValueError(f"{port}: {error}") from error
@@ -74,7 +80,11 @@ class ByteStream:
         with self._reading:
             self._refuse_closed()
             try:
-                self._port.reset_input_buffer()
+                if self._is_rfc2217:
+                    # Asking the converter to purge would wait for its answer, 3 s at worst.
+                    self._port.read(self._port.in_waiting)
+                else:
+                    self._port.reset_input_buffer()
             except OSError as error:
                 raise LinkLost(f"{self._port_name}: {error}") from error
 
