@@ -81,6 +81,11 @@ class ContinuousDecoder:
         set_s = self._settings.silence_s + 2.0 * bits / self._settings.baud_rate
         return max(set_s, 2.5 * (self._clock.period_s or 0.0))
 
+    @property
+    def max_age_s(self) -> float:
+        """How old the first beam of the newest scan of a scanner that is not silent may be."""
+        return self._settings.sweep_s + self.silence_s
+
     def facts(self) -> tuple[tuple[str, str], ...]:
         """What the telegrams say of the scanner, as (name, value)."""
         heard, period_s = self._heard, self._clock.period_s

@@ -99,8 +99,7 @@ class S300(BackgroundScanner):
         self._stream.close()
 
     def _max_age_s(self) -> float:
-        settings = self._settings
-        return settings.sweep_s + settings.scan_period_s + self._s300.silence_s
+        return self._s300.max_age_s
 
 
 class _ContinuousS300(S300):

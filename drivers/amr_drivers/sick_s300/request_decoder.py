@@ -141,6 +141,11 @@ class RequestDecoder:
         settings = self._settings
         return max(settings.silence_s, settings.poll_interval_s) + 2.0 * self.answer_limit_s
 
+    @property
+    def max_age_s(self) -> float:
+        """How old the first beam of the newest scan of such a line may be."""
+        return self._settings.sweep_s + self._settings.scan_period_s + self.silence_s
+
     def _note_stray(self, data: bytes, reason: BadTelegram) -> None:
         self._errors += 1
         by_itself = HEADER.search(data[-_SNIFFED:]) or HEADER.search(data[:_SNIFFED])
