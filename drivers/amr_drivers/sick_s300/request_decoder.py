@@ -33,8 +33,9 @@ _REACTION_S = 0.15
 """What a scanner may take until it answers: nobody documents it; some scan periods."""
 _FROZEN_PERIODS = 2.5
 """One scan may be fetched twice; for longer than this it is a scanner that does not scan anew."""
-_SNIFFED = 64
-"""Bytes of a wrong answer that are searched for a telegram of continuous mode."""
+_SNIFFED = 21
+"""Bytes of a wrong answer that are kept: one less than the beginning of a telegram of continuous
+mode, which is looked for in it."""
 
 
 class RequestDecoder:
@@ -67,6 +68,7 @@ class RequestDecoder:
         self._takes_over = False
         self._hindrance: str | None = None
         self._stray: str | None = None
+        self._sniffed = b""
         self._errors = 0
         self._words: NDArray[np.uint16] | None = None
         self._words_since_ns = 0
@@ -94,13 +96,17 @@ class RequestDecoder:
         self.dialogue.sent(request)
         self._request, self._reader = request, AnswerReader(request)
         self._sent_ns, self._first_byte_ns = stamp_ns, None
+        self._sniffed = b""
         if self._unanswered_since_ns is None:
             self._unanswered_since_ns = stamp_ns
 
     def received(self, data: bytes, stamp_ns: int) -> list[Scan]:
         """See :class:`amr_drivers.background.ScanDecoder`."""
         request, reader = self._request, self._reader
-        if request is None or reader is None or stamp_ns > self.deadline_ns:
+        if request is None or stamp_ns > self.deadline_ns:
+            return []
+        if reader is None:
+            self._sniff(data)
             return []
         if self._first_byte_ns is None:
             self._first_byte_ns = stamp_ns
@@ -113,7 +119,9 @@ class RequestDecoder:
         except BadTelegram as reason:
             # The rest of it may still come: nothing is asked before the deadline.
             self._reader = None
-            self._note_stray(reader.held + data, reason)
+            self._errors += 1
+            self._stray = f"bytes come that are no answer ({reason})"
+            self._sniff(reader.held + data)
             return []
 
     def gap(self) -> None:
@@ -146,14 +154,12 @@ class RequestDecoder:
         """How old the first beam of the newest scan of such a line may be."""
         return self._settings.sweep_s + self._settings.scan_period_s + self.silence_s
 
-    def _note_stray(self, data: bytes, reason: BadTelegram) -> None:
-        self._errors += 1
-        by_itself = HEADER.search(data[-_SNIFFED:]) or HEADER.search(data[:_SNIFFED])
-        self._stray = (
-            "the scanner sends by itself: it is in continuous mode"
-            if by_itself
-            else f"bytes come that are no answer ({reason})"
-        )
+    def _sniff(self, data: bytes) -> None:
+        """What is it that comes instead of an answer?"""
+        window = self._sniffed + data
+        self._sniffed = window[-_SNIFFED:]
+        if HEADER.search(window):
+            self._stray = "the scanner sends by itself: it is in continuous mode"
 
     def _hear(self, request: Request, answer: Answer, stamp_ns: int) -> list[Scan]:
         self.dialogue.answered(request, answer)

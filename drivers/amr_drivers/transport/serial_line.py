@@ -92,7 +92,11 @@ class ByteStream:
         """Idempotent; a read in another thread ends with LinkLost within 0.5 s."""
         self._closed.set()
         with self._reading, contextlib.suppress(OSError):
+            # pyserial forgets to close a connection that the other end has cut.
+            connection = getattr(self._port, "_socket", None)
             self._port.close()
+            if connection is not None:
+                connection.close()
 
     def _refuse_closed(self) -> None:
         if self._closed.is_set():

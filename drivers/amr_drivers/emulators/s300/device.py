@@ -8,7 +8,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,10 +27,13 @@ from amr_drivers.sick_s300.telegrams import (
 )
 from amr_slam.geometry import Array
 
-_HOST, _GUEST = 7, 8
+_HOST: Final = 7
+_GUEST: Final = 8
 _NUMBERS = 2**32
 _HITS = 3
 """Bytes of a damaged telegram that are changed."""
+_TOKEN_ANSWER = 4
+"""Bytes of an answer that is no scan."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,11 +98,6 @@ class EmulatedS300:
     def answered(self) -> int:
         """Requests answered so far, also with errors."""
         return self._answering.answered
-
-    @property
-    def is_sending(self) -> bool:
-        """True while a scan is on its way: one that ends meanwhile is not sent."""
-        return self._wire is not None and self._wire.is_busy
 
     @property
     def is_sending(self) -> bool:
@@ -243,7 +241,3 @@ class EmulatedS300:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-_TOKEN_ANSWER = 4
-"""Bytes of an answer that is no scan."""

@@ -35,5 +35,5 @@ def _line(port: str) -> Line:
     url = urlsplit(port)
     if url.scheme not in ("socket", "rfc2217") or url.hostname is None or url.port is None:
         raise ValueError(f"{port}: neither socket://host:port nor rfc2217://host:port")
-    kind = "socket" if url.scheme == "socket" else "rfc2217"
-    return EmulatedConverter(kind, url.hostname, url.port)
+    is_raw = url.scheme == "socket"
+    return EmulatedConverter("socket" if is_raw else "rfc2217", url.hostname, url.port)
