@@ -13,8 +13,9 @@ import pytest
 
 from amr_drivers.emulators.s300 import EmulatedS300, S300Model
 from amr_drivers.errors import LinkLost
+from amr_drivers.sick_s300.decoder import ContinuousDecoder
 from amr_drivers.sick_s300.driver import S300, Settings, open_scanner
-from amr_drivers.sick_s300.telegrams import Output, Telegram, encode
+from amr_drivers.sick_s300.telegrams import Output, Telegram, encode, encode_words
 from amr_drivers.timing import ArrivalClock
 from amr_slam.geometry import Array
 from amr_slam.samples import Scan
@@ -22,6 +23,15 @@ from amr_slam.samples import Scan
 RANGES: Array = np.linspace(1.0, 20.0, 541)
 DEADLINE_S = 10.0
 MS = 1_000_000
+IN_OUT = Telegram(
+    address=7,
+    version=0x0103,
+    status=0,
+    scan_number=bytes(4),
+    telegram_number=bytes(2),
+    output=Output.IO,
+    payload=bytes(8),
+)
 
 
 @pytest.fixture
@@ -100,6 +110,51 @@ def test_scans_arrive_whole_and_stamped(tmp_path: Path, model: S300Model) -> Non
         driver.close()
 
 
+@pytest.mark.parametrize("address", ["host", "guest"])
+@pytest.mark.parametrize("beams", [381, 541, 761])
+def test_one_of_a_pair_is_listened_to_among_other_telegrams(
+    tmp_path: Path, address: str, beams: int
+) -> None:
+    """S300 and S3000; I/O data and reflectors come between the scans."""
+    others = [
+        encode(replace(IN_OUT, output=output, payload=bytes(10)), rule)
+        for output in (Output.IO, Output.REFLECTORS)
+        for rule in (8, 14)
+    ]
+    ranges = np.linspace(1.0, 20.0, beams)
+    with EmulatedS300(tmp_path / "front", S300Model(pair=True)) as scanner:
+        driver = opened(
+            scanner, device_address=address, beams=beams, field_of_view_deg=0.25 * (beams - 1)
+        )
+        for other in others:
+            scanner.send_bytes(other)
+            scan = next_scan(driver, scanner, ranges)
+            truth = ranges if address == "host" else ranges[::-1]
+            np.testing.assert_allclose(scan.ranges_m, truth, atol=0.0051)
+        assert driver.status() == (0, None)
+        driver.close()
+
+
+@pytest.mark.parametrize("period_ms", [40, 80])
+def test_the_scan_period_is_found(period_ms: int) -> None:
+    """On a clock of its own: 40 ms is the S300's, some scanners take 80."""
+    decoder = ContinuousDecoder("front", Settings(port="x"), 0)
+    scans: list[Scan] = []
+    for number in range(1, 30):
+        telegram = replace(
+            IN_OUT,
+            scan_number=number.to_bytes(4, "big"),
+            output=Output.MEASURED,
+            payload=encode_words(np.full(541, 200, dtype=np.uint16)),
+        )
+        scans += decoder.received(encode(telegram), number * period_ms * MS)
+    assert decoder.status(29 * period_ms * MS) == (0, None)
+    assert [scan.stamp_ns for scan in scans] == [
+        number * period_ms * MS - 30 * MS for number in range(1, 30)
+    ]
+    assert ("scan period", f"{period_ms}.0 ms") in decoder.facts()
+
+
 def test_a_sleeping_reader_gets_the_newest_scan(scanner: EmulatedS300) -> None:
     driver = opened(scanner)
     next_scan(driver, scanner)
@@ -160,16 +215,7 @@ def test_other_telegrams_are_named_instead_of_scans(scanner: EmulatedS300) -> No
     until(lambda: "only" not in str(driver.status()[1]))
     driver.close()
     driver = opened(scanner, silence_s=0.05)
-    in_out = Telegram(
-        address=7,
-        version=0x0103,
-        status=0,
-        scan_number=bytes(4),
-        telegram_number=bytes(2),
-        output=Output.IO,
-        payload=bytes(8),
-    )
-    until(said_while(lambda: scanner.send_bytes(encode(in_out)), "only telegrams of io"))
+    until(said_while(lambda: scanner.send_bytes(encode(IN_OUT)), "only telegrams of io"))
     driver.close()
     driver = opened(scanner, beams=381, field_of_view_deg=190.0)
     scanner.measure(RANGES)
