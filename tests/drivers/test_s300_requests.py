@@ -228,6 +228,10 @@ def test_a_scan_is_stamped_by_the_first_byte_of_its_answer() -> None:
     assert scan.stamp_ns == (50 - 30 - 20) * MS
     assert scan.seq is None
     np.testing.assert_allclose(scan.ranges_m, 0.01 * WORDS)
+    # The next sweep ended within the 30 ms since that answer began.
+    other = encode_answer(Answer(code=0, block=scan_block(WORDS + np.uint16(1), 7)))
+    (scan,) = line.ask(other)
+    assert scan.stamp_ns == (80 - 30 - 15) * MS
     # All in one read, as an adapter gives it that held the bytes back: at 9600 Bd the first byte
     # came earlier than the last one by the time of all of them.
     slow = Line(baud_rate=9600)

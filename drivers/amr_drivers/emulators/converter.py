@@ -14,6 +14,8 @@ from serial.rfc2217 import PortManager
 
 _WAIT_S = 0.02
 _BLOCK = 4096
+_BUFFER = 1 << 14
+"""Bytes that wait in a converter for a host that does not take them."""
 _MAX_KEPT = 4096
 """Bytes from the host that are kept for a device that does not look at them."""
 _AT_ONCE = struct.pack("ii", 1, 0)
@@ -130,6 +132,7 @@ class _Client:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
         self.socket = connection
         self._manager = None if settings is None else PortManager(settings, _Writer(self._send))
 

@@ -62,6 +62,8 @@ class RequestDecoder:
         self._reader: AnswerReader | None = None
         self._sent_ns = start_ns
         self._first_byte_ns: int | None = None
+        self._answered_ns: int | None = None
+        """When the newest answer with a scan began."""
         self._unanswered_since_ns: int | None = start_ns
         self._refusal: str | None = None
         self._refused = False
@@ -176,6 +178,8 @@ class RequestDecoder:
             return []
         self._refusal = None
         words = scan_words(answer.block, self._settings.beams)
+        answered_ns = self._answered_ns
+        self._answered_ns = self._begun_ns(stamp_ns)
         repeated = self._repeats(words, stamp_ns)
         frozen_ns = 1e9 * _FROZEN_PERIODS * self._settings.scan_period_s
         is_frozen = repeated and stamp_ns - self._words_since_ns > frozen_ns
@@ -188,7 +192,10 @@ class RequestDecoder:
         )
         if self._hindrance is not None or repeated:
             return []
-        return [self._scan(words, stamp_ns)]
+        # Its sweep had not ended when the answer before this one began.
+        scan_period_ns = round(1e9 * self._settings.scan_period_s)
+        since_ns = scan_period_ns if answered_ns is None else self._answered_ns - answered_ns
+        return [self._scan(words, self._answered_ns - min(scan_period_ns, since_ns) // 2)]
 
     def _repeats(self, words: NDArray[np.uint16], stamp_ns: int) -> bool:
         """True when these are the values of the answer before: the same scan, not a new one."""
@@ -197,16 +204,19 @@ class RequestDecoder:
         self._words, self._words_since_ns = words, stamp_ns
         return False
 
-    def _scan(self, words: NDArray[np.uint16], last_byte_ns: int) -> Scan:
-        settings = self._settings
+    def _begun_ns(self, last_byte_ns: int) -> int:
+        """When the first byte of the answer came."""
         assert self._first_byte_ns is not None
-        # Its last byte cannot have come earlier than one wire time after its first.
-        latest_ns = last_byte_ns - round(1e9 * self._answer_wire_s)
-        first_byte_ns = min(self._first_byte_ns, latest_ns)
-        before_s = settings.sweep_s + settings.transfer_delay_s + 0.5 * settings.scan_period_s
+        # The last one cannot have come earlier than one wire time after it.
+        return min(self._first_byte_ns, last_byte_ns - round(1e9 * self._answer_wire_s))
+
+    def _scan(self, words: NDArray[np.uint16], ready_ns: int) -> Scan:
+        """``ready_ns``: when the scanner had the scan ready to be sent."""
+        settings = self._settings
+        before_s = settings.sweep_s + settings.transfer_delay_s
         return Scan(
             scanner=self._name,
-            stamp_ns=first_byte_ns - round(1e9 * before_s),
+            stamp_ns=ready_ns - round(1e9 * before_s),
             ranges_m=ranges_from_words(words),
             angle_min_rad=-0.5 * radians(settings.field_of_view_deg),
             angle_step_rad=radians(settings.field_of_view_deg) / (settings.beams - 1),

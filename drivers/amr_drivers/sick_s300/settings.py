@@ -36,7 +36,7 @@ class Settings:
     """Time from the first beam to the last: 270/360 of the S300's 40 ms."""
     scan_period_s: Annotated[float, Gt(0), Le(1)] = 0.040
     """Time between two sweeps. For request mode alone: an answer does not tell how long ago its
-    sweep ended. The middle is taken, so that a stamp is off by half of this at most."""
+    sweep ended. The middle of what is possible is taken: stamps are off by half of this at most."""
     transfer_delay_s: Annotated[float, Ge(0), Le(1)] = 0.0
     """Time from the last beam to the telegram's first byte; for what a calibration finds."""
     poll_interval_s: Annotated[float, Ge(0), Le(60)] = 0.0

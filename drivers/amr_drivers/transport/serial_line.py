@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
 import time
 
@@ -14,6 +15,9 @@ from amr_drivers.errors import LinkLost, LinkTimeout
 _SLICE_S = 0.1
 """Longest single wait: what ``close`` from another thread may have to wait for."""
 _BLOCK = 4096
+_KERNEL_BYTES = 1 << 15
+"""What the kernel keeps of a connection's bytes while nobody reads: some telegrams of a serial
+device, as a serial port does, not minutes of them."""
 
 
 class ByteStream:
@@ -48,6 +52,9 @@ class ByteStream:
             if isinstance(error.__context__, TimeoutError):
                 raise LinkTimeout(f"{port}: {error}") from error
             raise LinkLost(f"{port}: {error}") from error
+        self._connection: socket.socket | None = getattr(self._port, "_socket", None)
+        if self._connection is not None:
+            self._connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _KERNEL_BYTES)
         # On a socket `in_waiting` tells only whether there is anything: it cannot size a read.
         self._counts_waiting = not port.startswith("socket://")
 
@@ -93,10 +100,9 @@ class ByteStream:
         self._closed.set()
         with self._reading, contextlib.suppress(OSError):
             # pyserial forgets to close a connection that the other end has cut.
-            connection = getattr(self._port, "_socket", None)
             self._port.close()
-            if connection is not None:
-                connection.close()
+            if self._connection is not None:
+                self._connection.close()
 
     def _refuse_closed(self) -> None:
         if self._closed.is_set():
