@@ -81,8 +81,9 @@ class EmulatedS300:
         self._speech: bytes | None = None
         self._answering = Answering(self._model.addresses, self._newest_words)
         self._wire: Wire | None = None
-        if self._model.paced or self._model.protocol == "request":
-            self._wire = Wire(self._line, self._model.baud_rate, self._answers)
+        if self._model.paced or self._is_asked:
+            answers = self._answers if self._is_asked else None
+            self._wire = Wire(self._line, self._model.baud_rate, answers)
 
     @property
     def port(self) -> str:
@@ -111,7 +112,7 @@ class EmulatedS300:
             if not self.frozen or self._newest is None:
                 self._number = (self._number + 1) % _NUMBERS
                 self._newest = ranges_m
-            if self._model.protocol == "continuous" and not self.silent:
+            if not self._is_asked and not self.silent:
                 self._transmit()
         return first_beam_ns
 
@@ -197,7 +198,7 @@ class EmulatedS300:
 
     def _answers(self, data: bytes) -> list[bytes]:
         """Called by the wire's thread, also when nothing came."""
-        if not data or self._model.protocol == "continuous":
+        if not data:
             return []
         with self._lock:
             if self._speech is not None:

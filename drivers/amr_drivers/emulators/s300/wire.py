@@ -14,15 +14,20 @@ _CHUNK_S = 0.005
 """It does not wait for longer to fill them."""
 _LOOK_S = 0.001
 """How often requests are looked for."""
+_IDLE_S = 0.1
+"""How often whether it is over."""
 
 
 class Wire:
     """A scanner's transmitter: one telegram at a time, from a thread of its own.
 
-    ``answers``: what to send for bytes that the host has sent; called in that thread.
+    ``answers``: what to send for bytes that the host has sent; called in that thread. None: the
+    host is not listened to.
     """
 
-    def __init__(self, line: Line, baud_rate: int, answers: Callable[[bytes], list[bytes]]) -> None:
+    def __init__(
+        self, line: Line, baud_rate: int, answers: Callable[[bytes], list[bytes]] | None
+    ) -> None:
         self._line = line
         self._baud_rate = baud_rate
         self._answers = answers
@@ -57,15 +62,16 @@ class Wire:
         while not self._stopping.is_set():
             with self._news:
                 if self._next is None:
-                    self._news.wait(_LOOK_S)
+                    self._news.wait(_IDLE_S if self._answers is None else _LOOK_S)
                 data, self._next = self._next, None
                 self._busy = data is not None
             if data is not None:
                 self._send(data)
                 with self._news:
                     self._busy = False
-            for answer in self._answers(self._line.read()):
-                self._send(answer)
+            if self._answers is not None:
+                for answer in self._answers(self._line.read()):
+                    self._send(answer)
 
     def _send(self, data: bytes) -> None:
         start_ns = time.monotonic_ns()
