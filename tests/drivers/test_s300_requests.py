@@ -262,10 +262,10 @@ def test_what_hinders_is_said() -> None:
     assert [line.ask(SCAN) for _ in range(4)] == [[]] * 4
     assert line.said == "frozen: the same scan is answered again and again"
     line.ask(b"")
-    line.now_ns += 300 * MS
-    assert str(line.said).startswith("no answer for 0.3 s")
+    line.now_ns += 400 * MS
+    assert str(line.said).startswith("no answer for 0.4 s")
     line.ask(b"HTTP/1.1 400 Bad Request")
-    line.now_ns += 300 * MS
+    line.now_ns += 400 * MS
     assert "bytes come that are no answer" in str(line.said)
     line.ask(_continuous())
     assert "it is in continuous mode" in str(line.said)
@@ -275,7 +275,7 @@ def test_a_late_answer_is_nobodys() -> None:
     line = Line()
     line.ask(GRANTED)
     errors = line.decoder.status(line.now_ns)[0]
-    assert line.ask(SCAN, after_ms=300) == []
+    assert line.ask(SCAN, after_ms=400) == []
     assert line.decoder.waits
     assert len(line.ask(SCAN)) == 1
     assert line.decoder.status(line.now_ns)[0] == errors + 1

@@ -29,7 +29,7 @@ from amr_drivers.sick_s300.telegrams import (
 )
 from amr_slam.samples import Scan
 
-_REACTION_S = 0.15
+_REACTION_S = 0.25
 """What a scanner may take until it answers: nobody documents it; some scan periods."""
 _FROZEN_PERIODS = 2.5
 """One scan may be fetched twice; for longer than this it is a scanner that does not scan anew."""
