@@ -129,7 +129,7 @@ class Robot:
             for sample in self._robot.advance(0.0, 0.15):
                 if isinstance(sample, Scan):
                     scanner = self.front if sample.scanner == "front" else self.rear
-                    scanner.send(sample.ranges_m)
+                    scanner.measure(sample.ranges_m)
                 elif isinstance(sample, WheelSample):
                     for number, _, data in self._wheels.frames(sample.left_rad, sample.right_rad):
                         self.can.send(number, data)

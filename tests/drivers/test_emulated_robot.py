@@ -74,7 +74,7 @@ def test_real_drivers_measure_what_the_truth_says(tmp_path: Path, robot: RobotPr
 
     drive_until(robot, listen)
     # The truth of the newest scan, too.
-    newest_ns = max(scans[-1].stamp_ns, counts[-1].stamp_ns) + 100_000_000
+    newest_ns = max(counts[-1].stamp_ns, *(scan.mid_stamp_ns for scan in scans)) + 100_000_000
     drive_until(robot, lambda: int(robot.truth().stamps_ns[-1]) > newest_ns)
     devices: tuple[Scanner | OdometrySource, ...] = (wheels, *scanners.values())
     for device in devices:
@@ -83,17 +83,23 @@ def test_real_drivers_measure_what_the_truth_says(tmp_path: Path, robot: RobotPr
     truth = robot.truth()
     _assert_wheels_agree(counts, truth)
     world_from_map, world = RobotModel(seed=SEED).tour().world_from_map, laboratory(SEED)
-    # The very first sweep began before the first step was told.
-    for scan in scans:
+    # The very first sweep began before the first step was told; while a late processor makes the
+    # world stand still for long, nothing is told of it.
+    where, known = poses_at(truth, np.array([scan.mid_stamp_ns for scan in scans]))
+    judged = [(scan, pose) for scan, pose, ok in zip(scans, where, known, strict=True) if ok]
+    assert {scan.scanner for scan, _ in judged} == set(scanners)
+    for scan, pose in judged:
         if scan.stamp_ns > truth.stamps_ns[0]:
-            _assert_scan_agrees(scan, truth, world_from_map, world)
+            _assert_scan_agrees(scan, Pose2.from_array(pose), world_from_map, world)
 
 
 def _assert_wheels_agree(counts: list[WheelSample], truth: Trajectory) -> None:
     model = RobotModel(seed=SEED)
     assert {sample.segment for sample in counts} == {0}
     where, known = poses_at(truth, np.array([sample.stamp_ns for sample in counts]))
-    assert known.all()
+    counts = [sample for sample, ok in zip(counts, known, strict=True) if ok]
+    assert len(counts) >= 50
+    where = where[known]
     radii_m = 0.1 * (1.0 + np.array([model.left_radius_error, model.right_radius_error]))
     ways_m = radii_m * [
         counts[-1].left_rad - counts[0].left_rad,
@@ -108,12 +114,12 @@ def _assert_wheels_agree(counts: list[WheelSample], truth: Trajectory) -> None:
     assert (ways_m[1] - ways_m[0]) / track_m == pytest.approx(turn_rad, abs=0.02)
 
 
-def _assert_scan_agrees(scan: Scan, truth: Trajectory, world_from_map: Pose2, world: World) -> None:
+def _assert_scan_agrees(
+    scan: Scan, map_from_base: Pose2, world_from_map: Pose2, world: World
+) -> None:
     """Each beam against the walls, from where the scanner really was; people may stand before."""
     mountings = {m.name: m.base_from_lidar for m in opposite_scanners(ScannerModel())}
-    where, known = poses_at(truth, np.array([scan.mid_stamp_ns]))
-    assert known[0]
-    lidar = world_from_map @ Pose2.from_array(where[0]) @ mountings[scan.scanner]
+    lidar = world_from_map @ map_from_base @ mountings[scan.scanner]
     expected = cast(
         np.broadcast_to(lidar.translation, (len(scan.ranges_m), 2)),
         lidar.theta_rad + scan.angles_rad,

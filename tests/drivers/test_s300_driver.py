@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import random
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -12,8 +13,9 @@ import pytest
 
 from amr_drivers.emulators.s300 import EmulatedS300, S300Model
 from amr_drivers.errors import LinkLost
+from amr_drivers.sick_s300.decoder import ContinuousDecoder
 from amr_drivers.sick_s300.driver import S300, Settings, open_scanner
-from amr_drivers.sick_s300.telegrams import Output, Telegram, encode
+from amr_drivers.sick_s300.telegrams import Output, Telegram, encode, encode_words
 from amr_drivers.timing import ArrivalClock
 from amr_slam.geometry import Array
 from amr_slam.samples import Scan
@@ -21,6 +23,15 @@ from amr_slam.samples import Scan
 RANGES: Array = np.linspace(1.0, 20.0, 541)
 DEADLINE_S = 10.0
 MS = 1_000_000
+IN_OUT = Telegram(
+    address=7,
+    version=0x0103,
+    status=0,
+    scan_number=bytes(4),
+    telegram_number=bytes(2),
+    output=Output.IO,
+    payload=bytes(8),
+)
 
 
 @pytest.fixture
@@ -42,10 +53,16 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 def next_scan(driver: S300, scanner: EmulatedS300, ranges: Array = RANGES) -> Scan:
-    scanner.send(ranges)
+    scanner.measure(ranges)
     scan = driver.read(DEADLINE_S)
     assert scan is not None
     return scan
+
+
+def noise(count: int, seed: int) -> bytes:
+    """Random bytes, half of them zero as in headers."""
+    dice = random.Random(seed)
+    return bytes(dice.choice((0, dice.randrange(256))) for _ in range(count))
 
 
 def open_files() -> set[str]:
@@ -73,15 +90,16 @@ def test_scans_arrive_whole_and_stamped(tmp_path: Path, model: S300Model) -> Non
         driver = opened(scanner, device_address=address)
         scans: list[Scan] = []
         for _ in range(5):
-            first_byte_ns = scanner.send(ranges)
+            until(lambda: not scanner.is_sending)
+            first_beam_ns = scanner.measure(ranges)
             scan = driver.read(DEADLINE_S)
             received_ns = time.monotonic_ns()
             assert scan is not None
             scans.append(scan)
-            # Truth: the first beam was measured one sweep before the first byte left. The refined
-            # stamp may be earlier than this arrival by the line's delay, here the scheduler's.
+            # The refined stamp may be earlier than this arrival by the line's delay, here the
+            # scheduler's.
             assert scan.stamp_ns + 30 * MS <= received_ns
-            assert abs(scan.stamp_ns - (first_byte_ns - 30 * MS)) < 100 * MS
+            assert abs(scan.stamp_ns - first_beam_ns) < 100 * MS
         assert [scan.seq for scan in scans] == [None, 2, 3, 4, 5]
         scan = scans[-1]
         np.testing.assert_allclose(scan.ranges_m, ranges, atol=0.0051)
@@ -92,11 +110,56 @@ def test_scans_arrive_whole_and_stamped(tmp_path: Path, model: S300Model) -> Non
         driver.close()
 
 
+@pytest.mark.parametrize("address", ["host", "guest"])
+@pytest.mark.parametrize("beams", [381, 541, 761])
+def test_one_of_a_pair_is_listened_to_among_other_telegrams(
+    tmp_path: Path, address: str, beams: int
+) -> None:
+    """S300 and S3000; I/O data and reflectors come between the scans."""
+    others = [
+        encode(replace(IN_OUT, output=output, payload=bytes(10)), rule)
+        for output in (Output.IO, Output.REFLECTORS)
+        for rule in (8, 14)
+    ]
+    ranges = np.linspace(1.0, 20.0, beams)
+    with EmulatedS300(tmp_path / "front", S300Model(pair=True)) as scanner:
+        driver = opened(
+            scanner, device_address=address, beams=beams, field_of_view_deg=0.25 * (beams - 1)
+        )
+        for other in others:
+            scanner.send_bytes(other)
+            scan = next_scan(driver, scanner, ranges)
+            truth = ranges if address == "host" else ranges[::-1]
+            np.testing.assert_allclose(scan.ranges_m, truth, atol=0.0051)
+        assert driver.status() == (0, None)
+        driver.close()
+
+
+@pytest.mark.parametrize("period_ms", [40, 80])
+def test_the_scan_period_is_found(period_ms: int) -> None:
+    """On a clock of its own: 40 ms is the S300's, some scanners take 80."""
+    decoder = ContinuousDecoder("front", Settings(port="x"), 0)
+    scans: list[Scan] = []
+    for number in range(1, 30):
+        telegram = replace(
+            IN_OUT,
+            scan_number=number.to_bytes(4, "big"),
+            output=Output.MEASURED,
+            payload=encode_words(np.full(541, 200, dtype=np.uint16)),
+        )
+        scans += decoder.received(encode(telegram), number * period_ms * MS)
+    assert decoder.status(29 * period_ms * MS) == (0, None)
+    assert [scan.stamp_ns for scan in scans] == [
+        number * period_ms * MS - 30 * MS for number in range(1, 30)
+    ]
+    assert ("scan period", f"{period_ms}.0 ms") in decoder.facts()
+
+
 def test_a_sleeping_reader_gets_the_newest_scan(scanner: EmulatedS300) -> None:
     driver = opened(scanner)
     next_scan(driver, scanner)
     for distance in range(2, 30):
-        scanner.send(np.full(541, float(distance)))
+        scanner.measure(np.full(541, float(distance)))
         until(lambda d=distance: driver._newest is not None and driver._newest.seq == d)  # type: ignore[misc] # mypy cannot infer a lambda's default
     scan = driver.read(DEADLINE_S)
     assert scan is not None
@@ -107,7 +170,7 @@ def test_a_sleeping_reader_gets_the_newest_scan(scanner: EmulatedS300) -> None:
 
 def test_an_old_scan_is_not_given_after_silence(scanner: EmulatedS300) -> None:
     driver = opened(scanner, silence_s=0.05)
-    scanner.send(RANGES)
+    scanner.measure(RANGES)
     until(lambda: driver._newest is not None)
     until(lambda: driver.status()[1] is not None)
     assert driver.read(0.01) is None
@@ -122,7 +185,7 @@ def test_standby_and_lock_out_give_no_scan_but_say_so(scanner: EmulatedS300, mod
     driver = opened(scanner)
     next_scan(driver, scanner)
     scanner.mode = mode  # type: ignore[assignment] # parametrize knows no Literal
-    scanner.send(RANGES)
+    scanner.measure(RANGES)
     until(lambda: driver.status()[1] is not None)
     assert str(driver.status()[1]).startswith(mode)
     assert driver.read(0.01) is None
@@ -136,7 +199,8 @@ def test_a_frozen_scanner_gives_no_scan_but_says_so(scanner: EmulatedS300) -> No
     driver = opened(scanner)
     next_scan(driver, scanner)
     next_scan(driver, scanner)
-    scanner.send(RANGES, scan_number=scanner.scan_number)
+    scanner.frozen = True
+    scanner.measure(RANGES)
     until(lambda: "frozen" in str(driver.status()[1]))
     assert driver.read(0.01) is None
     driver.close()
@@ -147,23 +211,14 @@ def test_other_telegrams_are_named_instead_of_scans(scanner: EmulatedS300) -> No
         return lambda: (send(), text in str(driver.status()[1]))[1]
 
     driver = opened(scanner, silence_s=0.05, device_address="guest")
-    until(said_while(lambda: scanner.send(RANGES), "only telegrams of device address 07"))
+    until(said_while(lambda: scanner.measure(RANGES), "only telegrams of device address 07"))
     until(lambda: "only" not in str(driver.status()[1]))
     driver.close()
     driver = opened(scanner, silence_s=0.05)
-    in_out = Telegram(
-        address=7,
-        version=0x0103,
-        status=0,
-        scan_number=bytes(4),
-        telegram_number=bytes(2),
-        output=Output.IO,
-        payload=bytes(8),
-    )
-    until(said_while(lambda: scanner.send_bytes(encode(in_out)), "only telegrams of io"))
+    until(said_while(lambda: scanner.send_bytes(encode(IN_OUT)), "only telegrams of io"))
     driver.close()
     driver = opened(scanner, beams=381, field_of_view_deg=190.0)
-    scanner.send(RANGES)
+    scanner.measure(RANGES)
     until(lambda: "541 values instead of 381" in str(driver.status()[1]))
     assert driver.status()[0] == 1
     driver.close()
@@ -173,8 +228,8 @@ def test_damage_is_skipped_and_counted(scanner: EmulatedS300) -> None:
     driver = opened(scanner)
     next_scan(driver, scanner)
     scanner.cut_next(at_byte=500)
-    scanner.send(RANGES)
-    scanner.send_garbage(3000, seed=1)
+    scanner.measure(RANGES)
+    scanner.send_bytes(noise(3000, seed=1))
     scan = next_scan(driver, scanner)
     assert scan.seq == 3
     assert driver.status()[0] >= 1
@@ -242,9 +297,9 @@ def test_info_says_what_the_device_is(scanner: EmulatedS300) -> None:
 
 def test_the_emulator_never_waits_for_a_reader(scanner: EmulatedS300) -> None:
     for _ in range(100):
-        scanner.send(RANGES)  # 110 kB: many times what the kernel keeps
+        scanner.measure(RANGES)  # 110 kB: many times what the kernel keeps
     driver = opened(scanner)
-    until(lambda: (scanner.send(RANGES), driver.read(0.1))[1] is not None)
+    until(lambda: (scanner.measure(RANGES), driver.read(0.1))[1] is not None)
     driver.close()
 
 

@@ -6,7 +6,7 @@ from math import radians
 
 from amr_drivers.errors import BadTelegram
 from amr_drivers.sick_s300.scan_counter import ScanCounter
-from amr_drivers.sick_s300.settings import Settings
+from amr_drivers.sick_s300.settings import ADDRESSES, Settings
 from amr_drivers.sick_s300.telegrams import (
     RANGE_MAX_M,
     Output,
@@ -18,8 +18,6 @@ from amr_drivers.sick_s300.telegrams import (
 )
 from amr_drivers.timing import ArrivalClock, Arrivals
 from amr_slam.samples import Scan
-
-_ADDRESSES = {"host": 7, "guest": 8}
 
 
 class ContinuousDecoder:
@@ -45,7 +43,7 @@ class ContinuousDecoder:
         scans: list[Scan] = []
         self._arrivals.add(self._reader.position, stamp_ns)
         for telegram in self._reader.feed(data):
-            if telegram.address != _ADDRESSES[self._settings.device_address]:
+            if telegram.address != ADDRESSES[self._settings.device_address]:
                 self._other = f"telegrams of device address {telegram.address:02d}", stamp_ns
             elif telegram.output is not Output.MEASURED:
                 self._other = f"telegrams of {telegram.output.name.lower()}", stamp_ns
@@ -82,6 +80,11 @@ class ContinuousDecoder:
         bits = 10 * (2 * self._settings.beams + 26)
         set_s = self._settings.silence_s + 2.0 * bits / self._settings.baud_rate
         return max(set_s, 2.5 * (self._clock.period_s or 0.0))
+
+    @property
+    def max_age_s(self) -> float:
+        """How old the first beam of the newest scan of a scanner that is not silent may be."""
+        return self._settings.sweep_s + self.silence_s
 
     def facts(self) -> tuple[tuple[str, str], ...]:
         """What the telegrams say of the scanner, as (name, value)."""

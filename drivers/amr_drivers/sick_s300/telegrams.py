@@ -40,9 +40,10 @@ LENGTH_RULES: dict[int, tuple[int, ...]] = {0x0102: (4,), 0x0103: (8, 14)}
 
 The header does not tell the two rules of 0x0103 apart; the CRC does."""
 
-_HEADER = re.compile(
+HEADER = re.compile(
     rb"\x00{6}..\xff[\x07\x08][\x02\x03]\x01.{8}(?:\xaa\xaa|\xbb\xbb|\xcc\xcc)", re.DOTALL
 )
+"""Where a telegram may begin."""
 
 _DISTANCE_MASK = 0x1FFF
 _NO_RETURN_CM = 2950
@@ -220,7 +221,7 @@ class TelegramReader:
     def _next(self) -> Telegram | None:
         while True:
             if not self._at_header:
-                match = _HEADER.search(self._buffer)
+                match = HEADER.search(self._buffer)
                 if match is None:
                     self._skip(len(self._buffer) - (_HEAD - 1))
                     return None
@@ -237,7 +238,7 @@ class TelegramReader:
     def _length(self) -> int | None:
         """Length of the telegram at the buffer's start; 0: none is there; None: cannot tell yet."""
         buffer = self._buffer
-        if self._inner == MAX_LENGTH and (match := _HEADER.search(buffer, self._searched)):
+        if self._inner == MAX_LENGTH and (match := HEADER.search(buffer, self._searched)):
             self._inner = match.end()
         self._searched = max(1, len(buffer) - (_HEAD - 1))
         for length in self._candidates():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
 import time
 
@@ -14,6 +15,9 @@ from amr_drivers.errors import LinkLost, LinkTimeout
 _SLICE_S = 0.1
 """Longest single wait: what ``close`` from another thread may have to wait for."""
 _BLOCK = 4096
+_KERNEL_BYTES = 1 << 15
+"""What the kernel keeps of a connection's bytes while nobody reads: some telegrams of a serial
+device, as a serial port does, not minutes of them."""
 
 
 class ByteStream:
@@ -30,11 +34,17 @@ class ByteStream:
         self._port_name = port
         self._reading = threading.Lock()
         self._closed = threading.Event()
+        self._is_rfc2217 = port.startswith("rfc2217://")
         try:
             # The lock on the port is advisory, but it stops a second copy of this program from
             # stealing every other byte.
             self._port = serial.serial_for_url(
-                port, baudrate=baud_rate, timeout=_SLICE_S, write_timeout=1.0, exclusive=True
+                port,
+                baudrate=baud_rate,
+                timeout=_SLICE_S,
+                # pyserial's RFC 2217 port refuses to be given a time limit for writing.
+                write_timeout=None if self._is_rfc2217 else 1.0,
+                exclusive=True,
             )
         except ValueError as error:
             raise ValueError(f"{port}: {error}") from error
@@ -42,6 +52,9 @@ class ByteStream:
             if isinstance(error.__context__, TimeoutError):
                 raise LinkTimeout(f"{port}: {error}") from error
             raise LinkLost(f"{port}: {error}") from error
+        self._connection: socket.socket | None = getattr(self._port, "_socket", None)
+        if self._connection is not None:
+            self._connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _KERNEL_BYTES)
         # On a socket `in_waiting` tells only whether there is anything: it cannot size a read.
         self._counts_waiting = not port.startswith("socket://")
 
@@ -74,7 +87,11 @@ class ByteStream:
         with self._reading:
             self._refuse_closed()
             try:
-                self._port.reset_input_buffer()
+                if self._is_rfc2217:
+                    # Asking the converter to purge would wait for its answer, 3 s at worst.
+                    self._port.read(self._port.in_waiting)
+                else:
+                    self._port.reset_input_buffer()
             except OSError as error:
                 raise LinkLost(f"{self._port_name}: {error}") from error
 
@@ -82,7 +99,10 @@ class ByteStream:
         """Idempotent; a read in another thread ends with LinkLost within 0.5 s."""
         self._closed.set()
         with self._reading, contextlib.suppress(OSError):
+            # pyserial forgets to close a connection that the other end has cut.
             self._port.close()
+            if self._connection is not None:
+                self._connection.close()
 
     def _refuse_closed(self) -> None:
         if self._closed.is_set():

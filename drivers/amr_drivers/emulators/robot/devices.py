@@ -159,7 +159,7 @@ class _ScanSender:
         while (item := self._scans.get()) is not None:
             due_ns, ranges_m = item
             _sleep_until(due_ns)
-            self._device.send(ranges_m)
+            self._device.measure(ranges_m)
 
 
 def _sleep_until(due_ns: int) -> int:
