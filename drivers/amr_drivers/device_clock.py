@@ -18,7 +18,7 @@ _REORDER_NS = 1_000_000_000
 """A count that goes back by less is a telegram overtaken by another, by more a device that has
 started anew."""
 _TELLING_NS = 10 * _BUCKET_NS
-"""Span from which on the drift is worth reading."""
+"""In a shorter span the line's delays say more about the slope than the clocks do."""
 
 
 class DeviceClock:
@@ -62,7 +62,7 @@ class DeviceClock:
         late_ns = arrival_ns - self.at(count)
         slack_ns = late_limit_ns + round(self._bound * abs(step_ns))
         if step_ns < -_REORDER_NS or late_ns < -slack_ns:
-            self.restarts += 1
+            self.restarts += int(step_ns < -_REORDER_NS or late_ns < -_REORDER_NS)
             self._start(count, arrival_ns)
             return True
         if late_ns > slack_ns:
@@ -109,7 +109,7 @@ class DeviceClock:
         first_device, first_our = self._points[0]
         # Differences of integers first: floats do not hold monotonic nanoseconds exactly.
         points = [(x - first_device, (y - first_our) - (x - first_device)) for x, y in self._points]
-        slope = _slope_below(points)
+        slope = _slope_below(points) if points[-1][0] >= _TELLING_NS else 0.0
         self._excess = max(-self._bound, min(self._bound, slope))
         x, excess = min(points, key=lambda point: point[1] - self._excess * point[0])
         self._anchor = (first_device + x, first_our + x + excess)

@@ -30,6 +30,7 @@ class Counting:
         self._period_s = 0.0
         self.new = 0
         self.repeated = 0
+        """Scans of a stream that came twice."""
         self.lost = 0
         """Scans of a stream that never came."""
 
@@ -42,7 +43,8 @@ class Counting:
         """The next telegram's counter."""
         last, self._period_s = self._last, period_s
         if counter == last:
-            self.repeated += 1
+            # A device that is asked often answers with the same scan again.
+            self.repeated += int(not polled)
             still_s = 1e-9 * (arrival_ns - self._moved_ns)
             frozen = still_s > max(_STANDS_STILL_S, _PERIODS * self.telegram_s)
             return News.FROZEN if frozen else News.REPEATED

@@ -308,17 +308,19 @@ def exact_step_deg(field: int) -> float:
 
 
 def ranges_of(channel: Channel, range_max_m: float) -> NDArray[np.float64]:
-    """(n,) ranges in m of a DIST channel; NaN for no measurement, which is the code 0 as well.
+    """(n,) ranges in m of a DIST channel: NaN for no measurement, +inf beyond ``range_max_m``.
 
-    These scanners say 0 for "no echo" and for "could not measure" alike: free space is never
-    claimed. Raises BadTelegram for a scale or an offset that makes no distances.
+    The code 0 is no measurement as well: these scanners say it for "no echo" and for "could not
+    measure" alike, so it does not claim free space; only an echo from further away does. Raises
+    BadTelegram for a scale or an offset that makes no distances.
     """
     scale, offset = channel.scale, channel.offset
     if not (math.isfinite(scale) and math.isfinite(offset) and scale > 0.0):
         raise BadTelegram(f"{channel.name} has the scale {scale:g} and the offset {offset:g}")
     ranges = 1e-3 * (channel.values.astype(np.float64) * scale + offset)
     codes = (channel.values < _LOWEST_DISTANCE) | (channel.values == _HIGHEST_DISTANCE)
-    ranges[codes | (ranges <= 0.0) | (ranges > range_max_m)] = np.nan
+    ranges[ranges > range_max_m] = np.inf
+    ranges[codes | (ranges <= 0.0)] = np.nan
     return ranges
 
 

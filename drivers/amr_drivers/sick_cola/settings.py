@@ -28,8 +28,8 @@ class Settings:
     straight_ahead_deg: Annotated[float, Ge(-360.0), Le(360.0)] = 90.0
     """What the device calls the direction straight ahead. 0 for TiM240 and LRS4000."""
     range_max_m: Annotated[float, Gt(0.0), Le(1000.0)] = 80.0
-    """Readings beyond are no measurement. LMS1xx 20 to 50, LMS5xx 80, TiM5xx and TiM7xx 10 to 25
-    by their data sheets."""
+    """An echo from beyond means: nothing within this range. By their data sheets LMS1xx 20 to 50,
+    LMS5xx 80, TiM5xx and TiM7xx 10 to 25."""
     stamp_shift_s: Annotated[float, Ge(-1.0), Le(1.0)] = 0.0
     """Added to each scan's stamp; for what a calibration finds."""
     latency_limit_s: Annotated[float, Gt(0), Le(1)] = 0.1
