@@ -1,0 +1,1 @@
+"""This package's drivers in front of their emulators, a module a driver."""
