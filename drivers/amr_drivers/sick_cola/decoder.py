@@ -10,7 +10,7 @@ from amr_drivers.sick_cola.facts import Facts
 from amr_drivers.sick_cola.framing import AnyReader, Dialect, Frame, FrameReader, reader
 from amr_drivers.sick_cola.freshness import Counting, News
 from amr_drivers.sick_cola.messages import SCAN, Message, Refusal, parse_message
-from amr_drivers.sick_cola.scandata import Channel, ScanData, decode_scan, ranges_of
+from amr_drivers.sick_cola.scandata import ScanData, decode_scan, ranges_of
 from amr_drivers.sick_cola.settings import Settings
 from amr_drivers.sick_cola.sweeps import FirstBeam, Sweep, sweep_of
 from amr_drivers.timing import Arrivals
@@ -43,8 +43,11 @@ class ColaDecoder:
         self._refused = 0
         self._late = 0
         self._late_since_ns: int | None = None
+        self._bytes_ns: int | None = None
         self.pending: str | None = None
         """Name of the request that is not answered yet."""
+        self.idle = False
+        """The scan telegrams hold no distances."""
         self.dialect: Dialect | None = None
         """What the device speaks; None before it has said anything."""
         self.heard_ns = start_ns
@@ -55,6 +58,8 @@ class ColaDecoder:
     def received(self, data: bytes, stamp_ns: int) -> list[Scan]:
         """See :class:`amr_drivers.background.ScanDecoder`."""
         scans: list[Scan] = []
+        damaged = self._reader.damaged
+        self._bytes_ns = stamp_ns
         self._arrivals.add(self._reader.position, stamp_ns)
         for frame in self._reader.feed(data):
             try:
@@ -65,6 +70,8 @@ class ColaDecoder:
             else:
                 scans += [] if scan is None else [scan]
         self._arrivals.at(self._reader.pending)
+        if self._reader.damaged > damaged:
+            self.pending = None  # the answer may have been among it: better asked twice
         return scans
 
     def sent(self, data: bytes, stamp_ns: int) -> None:  # noqa: ARG002 - the protocol's
@@ -85,9 +92,9 @@ class ColaDecoder:
         errors = self._reader.damaged + self._refused + self._late
         silent_s = 1e-9 * (now_ns - self.scan_ns)
         polled_s = self._settings.poll_interval_s if self._settings.delivery == "polled" else 0.0
-        if silent_s <= self.silence_s + polled_s:
+        if silent_s <= self.silence_s + (polled_s if self.dialect is not None else 0.0):
             return errors, self._hindrance
-        return errors, f"no scans for {silent_s:.1f} s{self._facts.why_silent()}"
+        return errors, f"no scans for {silent_s:.1f} s{self._why_silent(now_ns)}"
 
     @property
     def silence_s(self) -> float:
@@ -137,6 +144,14 @@ class ColaDecoder:
         )
         return (*facts, *((name, str(count)) for name, count in counts if count))
 
+    def _why_silent(self, now_ns: int) -> str:
+        recent_ns = 1e9 * self.silence_s
+        if self.dialect is not None and now_ns - self.heard_ns < recent_ns:
+            return self._facts.why_silent()
+        if self._bytes_ns is not None and now_ns - self._bytes_ns < recent_ns:
+            return "; what answers does not speak CoLa"
+        return ""
+
     def _hear(self, frame: Frame, stamp_ns: int, arrival_ns: int) -> Scan | None:
         said = parse_message(frame.payload, frame.dialect)
         self.dialect, self.heard_ns = frame.dialect, stamp_ns
@@ -161,7 +176,8 @@ class ColaDecoder:
         """The scan in a telegram, or None when it holds none that is new and true."""
         self._facts.scanned(data)
         channel = data.channel("DIST")
-        if (hindrance := self._hinders(data, channel)) is not None or channel is None:
+        self.idle = channel is None or len(channel.values) == 0
+        if (hindrance := self._hinders(data)) is not None or channel is None:
             self._hindrance = hindrance
             return None
         if data.layer_angle != 0:
@@ -189,7 +205,7 @@ class ColaDecoder:
             seq=data.scan_counter,
         )
 
-    def _hinders(self, data: ScanData, channel: Channel | None) -> str | None:
+    def _hinders(self, data: ScanData) -> str | None:
         wanted, second = self._settings.serial_number, data.status[1]
         if wanted not in (0, data.serial_number):
             return (
@@ -200,7 +216,7 @@ class ColaDecoder:
             return "contaminated: the front screen is too dirty to measure, clean it"
         if second & _ERROR:
             return "device error: see its display or SOPAS"
-        if channel is None or len(channel.values) == 0:
+        if self.idle:
             return f"no distances come{self._facts.why_silent()}"
         return None
 

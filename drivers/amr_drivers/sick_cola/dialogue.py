@@ -35,6 +35,8 @@ _AGAIN_S = 2.0
 """Between two subscriptions of a stream that does not come, and two refused questions."""
 _WARM_UP_S = 1.0
 """For so long at most a polled device is asked at once again until a new scan was seen."""
+_STATE_POLLS = 4
+"""Of a device that sends no distances every fourth question is for its state."""
 _GOLDEN = 0.618034
 """Multiples of it fall evenly between 0 and 1: polls then meet all phases of the mirror, of which
 the promptest answers set the clock."""
@@ -146,7 +148,8 @@ class Dialogue:
             return Step.WAIT
         self._due_ns = now_ns + round(1e9 * self._pause_s(now_ns))
         self._polls += 1
-        return self._ask(SCAN, now_ns)
+        why = self._decoder.idle and self._polls % _STATE_POLLS == 0
+        return self._ask(STATE if why else SCAN, now_ns)
 
     def _pause_s(self, now_ns: int) -> float:
         if self._decoder.scan_ns <= self._since_ns and self._polls > 0:

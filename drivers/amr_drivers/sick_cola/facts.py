@@ -68,7 +68,7 @@ class Facts:
             return self._subscription
         state = self._said.get(STATE)
         said = f" (it says: {state})" if state else ""
-        return f": the device is in standby, starting up, or told to send none{said}"
+        return f": the device answers but does not measure, or is told to send no scans{said}"
 
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """(name, value) in the technician's words."""
