@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import pairwise
+from statistics import median
 
-_BUCKET_NS = 1_000_000_000
-"""Of each second of device time only the promptest telegram says anything."""
-_BUCKETS = 64
+_BUCKET_NS = 4_000_000_000
+"""Of so much device time only the promptest telegram says anything."""
+_BUCKETS = 128
 _REORDER_NS = 1_000_000_000
 """A count that goes back by less is a telegram overtaken by another, by more a device that has
 started anew."""
-_TELLING_NS = 10 * _BUCKET_NS
-"""In a shorter span the line's delays say more about the slope than the clocks do."""
+_TELLING_NS = 30_000_000_000
+"""Span from which on the drift is worth reading."""
 
 
 class DeviceClock:
@@ -109,8 +110,11 @@ class DeviceClock:
         first_device, first_our = self._points[0]
         # Differences of integers first: floats do not hold monotonic nanoseconds exactly.
         points = [(x - first_device, (y - first_our) - (x - first_device)) for x, y in self._points]
-        slope = _slope_below(points) if points[-1][0] >= _TELLING_NS else 0.0
-        self._excess = max(-self._bound, min(self._bound, slope))
+        slope = max(-self._bound, min(self._bound, _slope_below(points)))
+        # While delays scatter by more than clocks may drift apart, they say little of the drift.
+        scatter = median(y - slope * x for x, y in points) - min(y - slope * x for x, y in points)
+        room = self._bound * points[-1][0]
+        self._excess = slope * room**2 / (room**2 + scatter**2) if room else 0.0
         x, excess = min(points, key=lambda point: point[1] - self._excess * point[0])
         self._anchor = (first_device + x, first_our + x + excess)
 

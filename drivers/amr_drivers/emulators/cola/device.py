@@ -108,6 +108,8 @@ class ColaDevice:
 
     def _variable(self, name: str) -> bytes | None:
         dialect, model = self.dialect, self.model
+        if name in model.unknown:
+            return None
         if name == IDENT:
             return texts_body(model.ident, dialect)
         if name in (FIRMWARE, SERIAL):

@@ -29,6 +29,8 @@ class ColaModel:
     processing_s: float
     """From the sweep's end to the transmission."""
     range_max_m: float
+    unknown: frozenset[str] = frozenset()
+    """Variables that this one has not: it answers sFA 3."""
 
     @property
     def period_s(self) -> float:
