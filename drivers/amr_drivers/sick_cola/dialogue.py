@@ -156,8 +156,10 @@ class Dialogue:
             return max(_OPTIONAL_S, self._settings.poll_interval_s)  # refused so far
         if self.warming_up and now_ns - self._since_ns < 1e9 * _WARM_UP_S:
             return 0.0
+        # Who asks more often than the mirror turns meets all phases anyway.
+        interval_s = self._settings.poll_interval_s
         phase = self._polls * _GOLDEN % 1.0
-        return self._settings.poll_interval_s + phase * self._decoder.period_s
+        return interval_s + phase * min(interval_s, self._decoder.period_s)
 
     def _stream(self, now_ns: int) -> bytes | Step:
         if self._subscribed_ns is None:
