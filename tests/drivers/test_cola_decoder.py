@@ -215,6 +215,15 @@ def test_device_status(status: tuple[int, int], scans: int, text: str | None) ->
     assert said is None if text is None else text in str(said)
 
 
+def test_a_start_that_does_not_end_is_said() -> None:
+    decoding = decoder()
+    for n in (0, 1000, 2999, 3001):
+        found = decoding.received(telegram(full(n, status=(1, 0)), Dialect.B), arrival_ns(n))
+        assert len(found) == 1
+        said = decoding.status(arrival_ns(n))[1]
+        assert said == ("unknown device status 01 00" if n > 3000 else None)
+
+
 def test_another_device_gives_no_scan() -> None:
     decoding = decoder(serial_number=17271466)
     assert hear(decoding, full()) == []

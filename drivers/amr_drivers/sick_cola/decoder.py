@@ -18,6 +18,10 @@ from amr_slam.samples import Scan
 
 _ERROR, _DIRTY, _BLIND = 0x01, 0x02, 0x04
 """Bits of the second status byte."""
+_STARTING = (1, 0)
+"""Status of the first scans after a start, which no document explains; their distances are true."""
+_START_NS = 60_000_000_000
+"""A start does not last longer."""
 
 
 class ColaDecoder:
@@ -43,6 +47,7 @@ class ColaDecoder:
         self._refused = 0
         self._late = 0
         self._late_since_ns: int | None = None
+        self._starting_ns: int | None = None
         self._bytes_ns: int | None = None
         self.pending: str | None = None
         """Name of the request that is not answered yet."""
@@ -192,7 +197,7 @@ class ColaDecoder:
             return None
         if not self._in_time(data, sweep, arrival_ns, polled=polled):
             return None
-        self._hindrance = _warning(data)
+        self._hindrance = self._warning(data, arrival_ns)
         stamp_s = self._first_beam.after_start_up_s(sweep) + self._settings.stamp_shift_s
         return Scan(
             scanner=self._name,
@@ -234,13 +239,16 @@ class ColaDecoder:
         self._late_since_ns = None
         return True
 
-
-def _warning(data: ScanData) -> str | None:
-    """What a status says that leaves the distances true."""
-    first, second = data.status
-    if second & _DIRTY:
-        return "contamination warning: clean the front screen"
-    # The first frames after a start carry 01 00, which no document explains.
-    if second or first not in (0, 1):
-        return f"unknown device status {first:02x} {second:02x}"
-    return None
+    def _warning(self, data: ScanData, arrival_ns: int) -> str | None:
+        """What a status says that leaves the distances true."""
+        first, second = data.status
+        if (first, second) != _STARTING:
+            self._starting_ns = None
+        elif self._starting_ns is None:
+            self._starting_ns = arrival_ns
+        if second & _DIRTY:
+            return "contamination warning: clean the front screen"
+        lasting = self._starting_ns is not None and arrival_ns - self._starting_ns > _START_NS
+        if lasting or (first, second) not in ((0, 0), _STARTING):
+            return f"unknown device status {first:02x} {second:02x}"
+        return None
