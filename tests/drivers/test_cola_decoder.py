@@ -309,16 +309,18 @@ def test_silence_is_named() -> None:
     decoding = decoder()
     later_ns = START_NS + 600 * MS
     assert decoding.status(START_NS + 400 * MS) == (0, None)
-    assert decoding.status(later_ns) == (0, "no scans for 0.6 s")
+    assert decoding.status(later_ns) == (0, "no answer in CoLa yet")
     decoding.received(b"HTTP/1.1 400 Bad Request", later_ns)
     said = decoding.status(later_ns)[1]
-    assert said == "no scans for 0.6 s; what answers does not speak CoLa"
+    assert said == "no answer in CoLa yet; what answers does not speak CoLa"
     state = number_body(3, 8, Dialect.B)
     decoding.received(message("sRA", STATE, state, Dialect.B), later_ns)
-    said = decoding.status(later_ns)[1]
+    assert decoding.status(later_ns) == (0, None)
+    decoding.received(message("sRA", STATE, state, Dialect.B), later_ns + 600 * MS)
+    said = decoding.status(later_ns + 600 * MS)[1]
     assert said is not None
-    assert "does not measure" in said
     assert "it says: standby" in said
+    assert decoding.status(later_ns + 1200 * MS) == (0, "no scans for 1.2 s")
 
 
 def pieces(data: bytes, size: int) -> Iterator[bytes]:

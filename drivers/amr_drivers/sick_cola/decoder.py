@@ -97,9 +97,13 @@ class ColaDecoder:
         errors = self._reader.damaged + self._refused + self._late
         silent_s = 1e-9 * (now_ns - self.scan_ns)
         polled_s = self._settings.poll_interval_s if self._settings.delivery == "polled" else 0.0
-        if silent_s <= self.silence_s + (polled_s if self.dialect is not None else 0.0):
+        if self.dialect is None and silent_s > self._settings.silence_s:
+            return errors, f"no answer in CoLa yet{self._stranger(now_ns)}"
+        if silent_s <= self.silence_s + polled_s:
             return errors, self._hindrance
-        return errors, f"no scans for {silent_s:.1f} s{self._why_silent(now_ns)}"
+        answers = now_ns - self.heard_ns < 1e9 * self.silence_s
+        why = self._facts.why_silent() if answers else self._stranger(now_ns)
+        return errors, f"no scans for {silent_s:.1f} s{why}"
 
     @property
     def silence_s(self) -> float:
@@ -149,16 +153,15 @@ class ColaDecoder:
         )
         return (*facts, *((name, str(count)) for name, count in counts if count))
 
-    def _why_silent(self, now_ns: int) -> str:
-        recent_ns = 1e9 * self.silence_s
-        if self.dialect is not None and now_ns - self.heard_ns < recent_ns:
-            return self._facts.why_silent()
-        if self._bytes_ns is not None and now_ns - self._bytes_ns < recent_ns:
-            return "; what answers does not speak CoLa"
-        return ""
+    def _stranger(self, now_ns: int) -> str:
+        """To be appended where nothing that can be understood comes."""
+        strange = self._bytes_ns is not None and now_ns - self._bytes_ns < 1e9 * self.silence_s
+        return "; what answers does not speak CoLa" if strange else ""
 
     def _hear(self, frame: Frame, stamp_ns: int, arrival_ns: int) -> Scan | None:
         said = parse_message(frame.payload, frame.dialect)
+        if self.dialect is None:
+            self.scan_ns = stamp_ns  # nobody could be asked for a scan until now
         self.dialect, self.heard_ns = frame.dialect, stamp_ns
         if isinstance(said, Refusal):
             name, self.pending = self.pending, None
