@@ -112,6 +112,13 @@ def test_a_part_of_a_known_field_begins_later() -> None:
     assert scan.angle_min_rad == pytest.approx(-0.25 * pi)
 
 
+def test_a_small_part_does_not_turn_an_end_into_a_start() -> None:
+    # 10 degrees take 0.6 ms, and the transmission comes 3.1 ms after the end of the sweep.
+    decoding = decoder()
+    hear(decoding, full(channels=(channel(values=np.full(21, 900)),)))
+    assert dict(decoding.facts())["time of a scan"] == "the end of its sweep"
+
+
 def test_straight_ahead_and_the_shift_are_settings() -> None:
     (usual,) = hear(decoder(), full())
     (other,) = hear(decoder(straight_ahead_deg=0.0, stamp_shift_s=0.002), full())

@@ -24,6 +24,7 @@ from amr_drivers.sick_cola.framing import (
     framed,
     reader,
 )
+from amr_drivers.sick_cola.meaning import exact_step_deg, ranges_of
 from amr_drivers.sick_cola.messages import (
     FIRMWARE,
     IDENT,
@@ -51,8 +52,6 @@ from amr_drivers.sick_cola.scandata import (
     ScanData,
     decode_scan,
     encode_scan,
-    exact_step_deg,
-    ranges_of,
 )
 
 CAPTURES = SHARED / "data/sick"

@@ -9,8 +9,12 @@ from amr_drivers.errors import BadTelegram
 from amr_drivers.sick_cola.facts import Facts
 from amr_drivers.sick_cola.framing import AnyReader, Dialect, Frame, FrameReader, reader
 from amr_drivers.sick_cola.freshness import Counting, News
+from amr_drivers.sick_cola.meaning import ranges_of
 from amr_drivers.sick_cola.messages import SCAN, Message, Refusal, parse_message
-from amr_drivers.sick_cola.scandata import ScanData, decode_scan, ranges_of
+from amr_drivers.sick_cola.scandata import (
+    ScanData,
+    decode_scan,
+)
 from amr_drivers.sick_cola.settings import Settings
 from amr_drivers.sick_cola.sweeps import FirstBeam, Sweep, sweep_of
 from amr_drivers.timing import Arrivals

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from amr_drivers.errors import BadTelegram
 from amr_drivers.sick_cola.framing import Dialect
+from amr_drivers.sick_cola.meaning import ANGLE_UNITS
 from amr_drivers.sick_cola.messages import (
     FIRMWARE,
     IDENT,
@@ -18,7 +19,9 @@ from amr_drivers.sick_cola.messages import (
     output_range,
     texts,
 )
-from amr_drivers.sick_cola.scandata import ANGLE_UNITS, ScanData
+from amr_drivers.sick_cola.scandata import (
+    ScanData,
+)
 
 _HORIZONTAL = 0
 _MAX_LAYERS = 64

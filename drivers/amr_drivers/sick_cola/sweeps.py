@@ -2,7 +2,9 @@
 
 A telegram's "time since start-up" is the end of the sweep on some devices (LMS1xx, TiM) and its
 start on others (LMS5xx). The time of transmission tells them apart: a scan cannot be sent before
-its sweep is over, so that less than a sweep between the two proves the end (fact sheet, B.6).
+its sweep is over, so that less than a sweep between the two proves the end. Where only a part of
+the sweep is sent, less than half a turn is taken for it: devices that tell the end are seen to send
+after 3 to 8 ms, those that tell the start after a whole turn (fact sheet, B.6).
 """
 
 from __future__ import annotations
@@ -11,7 +13,11 @@ import re
 from dataclasses import dataclass
 
 from amr_drivers.errors import BadTelegram
-from amr_drivers.sick_cola.scandata import ANGLE_UNITS, Channel, ScanData, exact_step_deg
+from amr_drivers.sick_cola.meaning import ANGLE_UNITS, exact_step_deg
+from amr_drivers.sick_cola.scandata import (
+    Channel,
+    ScanData,
+)
 
 _WRAP_US = 2**32
 _SENT_WITHIN_US = 10_000_000
@@ -64,7 +70,7 @@ class FirstBeam:
 
     def __init__(self) -> None:
         self._shortest_us: int | None = None
-        self._sweep_s = 0.0
+        self._longest_s = 0.0
         self._full: tuple[float, float] | None = None
 
     def identify(self, model: str) -> None:
@@ -79,7 +85,7 @@ class FirstBeam:
         wait_us = (scan.transmission_us - scan.start_up_us) % _WRAP_US
         if wait_us > _SENT_WITHIN_US:  # no time of transmission: the other one must do
             wait_us = 0
-        self._sweep_s = sweep.sweep_s
+        self._longest_s = max(sweep.sweep_s, 0.5 * sweep.period_s)
         self._shortest_us = (
             wait_us if self._shortest_us is None else min(wait_us, self._shortest_us)
         )
@@ -88,7 +94,7 @@ class FirstBeam:
     @property
     def told_at_end(self) -> bool:
         """True: the device's time of a scan is the end of its sweep; False: its start."""
-        return self._shortest_us is None or 1e-6 * self._shortest_us < self._sweep_s
+        return self._shortest_us is None or 1e-6 * self._shortest_us < self._longest_s
 
     def after_start_up_s(self, sweep: Sweep) -> float:
         """From the telegram's "time since start-up" to its first beam; negative: before it.
