@@ -131,9 +131,21 @@ def test_polls_come_at_once_until_a_new_scan_was_seen_then_at_all_phases() -> No
     story.run(5.0)
     polls = story.said(SCAN)
     pauses = [b - a for a, b in pairwise(polls)]
-    assert polls[2] - polls[0] < 0.05
+    assert polls[1] - polls[0] < 0.05
     assert min(pauses[4:]) >= 0.2 - 1e-9
     assert max(pauses[4:]) <= 0.2 + 0.02 + 0.011
+    assert not story.dialogue.warming_up
+
+
+def test_the_hurry_begins_with_the_first_scan_however_late_it_comes() -> None:
+    story = Story(delivery="polled", poll_interval_s=1.0)
+    story.idle = True
+    story.run(6.0)
+    assert len(story.said(SCAN)) < 8
+    story.idle = False
+    story.run(1.1)
+    polls = story.said(SCAN)
+    assert min(b - a for a, b in pairwise(polls[-3:])) < 0.05
     assert not story.dialogue.warming_up
 
 

@@ -125,6 +125,11 @@ class ColaDecoder:
         return self._counting.new >= 2
 
     @property
+    def first_scan_ns(self) -> int | None:
+        """When the first scan arrived; None before that."""
+        return self._counting.first_ns
+
+    @property
     def late_s(self) -> float:
         """For how long only old telegrams have come."""
         since = self._late_since_ns

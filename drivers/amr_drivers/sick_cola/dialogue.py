@@ -34,7 +34,8 @@ _OPTIONAL = (FIRMWARE, STATE, OUTPUT_RANGE)
 _AGAIN_S = 2.0
 """Between two subscriptions of a stream that does not come, and two refused questions."""
 _WARM_UP_S = 1.0
-"""For so long at most a polled device is asked at once again until a new scan was seen."""
+"""For so long at most after its first scan a polled device is asked at once again, until a second
+one was seen to become ready."""
 _STATE_POLLS = 4
 """Of a device that sends no distances every fourth question is for its state."""
 _GOLDEN = 0.618034
@@ -144,18 +145,20 @@ class Dialogue:
             if waited_s > self._decoder.silence_s:
                 raise LinkLost(f"no answer for {waited_s:.1f} s")
             return Step.WAIT
-        if now_ns < self._due_ns:
+        if now_ns < self._due_ns and not self._hurried(now_ns):
             return Step.WAIT
-        self._due_ns = now_ns + round(1e9 * self._pause_s(now_ns))
+        self._due_ns = now_ns + round(1e9 * self._pause_s())
         self._polls += 1
         why = self._decoder.idle and self._polls % _STATE_POLLS == 0
         return self._ask(STATE if why else SCAN, now_ns)
 
-    def _pause_s(self, now_ns: int) -> float:
+    def _hurried(self, now_ns: int) -> bool:
+        first_ns = self._decoder.first_scan_ns
+        return self.warming_up and first_ns is not None and now_ns - first_ns < 1e9 * _WARM_UP_S
+
+    def _pause_s(self) -> float:
         if self._decoder.scan_ns <= self._since_ns and self._polls > 0:
             return max(_OPTIONAL_S, self._settings.poll_interval_s)  # refused so far
-        if self.warming_up and now_ns - self._since_ns < 1e9 * _WARM_UP_S:
-            return 0.0
         # Who asks more often than the mirror turns meets all phases anyway.
         interval_s = self._settings.poll_interval_s
         phase = self._polls * _GOLDEN % 1.0

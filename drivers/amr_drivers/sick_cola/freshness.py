@@ -28,6 +28,8 @@ class Counting:
         self._moved_ns = 0
         self._step = _MAX_STEP
         self._period_s = 0.0
+        self.first_ns: int | None = None
+        """Arrival of the first scan."""
         self.new = 0
         self.repeated = 0
         """Scans of a stream that came twice."""
@@ -49,6 +51,7 @@ class Counting:
             frozen = still_s > max(_STANDS_STILL_S, _PERIODS * self.telegram_s)
             return News.FROZEN if frozen else News.REPEATED
         self._last, self._moved_ns = counter, arrival_ns
+        self.first_ns = arrival_ns if self.first_ns is None else self.first_ns
         self.new += 1
         if last is not None and not polled:
             self._count_lost((counter - last) % _WRAP)
