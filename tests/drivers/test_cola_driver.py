@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from paths import REPO
 
 from amr_drivers.emulators.cola import (
     LMS111,
@@ -28,6 +29,7 @@ from amr_drivers.registry import scanner_module, scanner_names
 from amr_drivers.sick_cola.driver import Cola, Settings, open_scanner
 from amr_drivers.sick_cola.framing import Dialect
 from amr_drivers.sick_cola.messages import FIRMWARE, IDENT, OUTPUT_RANGE, STATE
+from amr_slam.config import load
 from amr_slam.geometry import Array
 from amr_slam.samples import RawBytes, Scan, Scanner, Way
 
@@ -239,6 +241,20 @@ def test_nobody_there() -> None:
         port = server.getsockname()[1]
     with pytest.raises(LinkLost, match=str(port)):
         open_scanner("front", Settings(host="127.0.0.1", port=port))
+
+
+@pytest.mark.parametrize(
+    ("file", "model"), [("sick_lms1xx", LMS111), ("sick_lms5xx", LMS511), ("sick_tim", TIM571)]
+)
+def test_example_robots_name_devices_that_can_be_emulated(file: str, model: ColaModel) -> None:
+    config = load(REPO / f"config/{file}.toml")
+    (scanner,) = config.scanners
+    options = scanner.options
+    assert isinstance(options, Settings)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    with emulate(replace(options, port=port)) as device:
+        assert device.model == model
 
 
 def test_the_emulator_is_the_device_that_the_settings_name() -> None:
