@@ -28,6 +28,7 @@ from amr_slam.samples import OdometrySource, Scanner, Tap
 _SCANNERS = {
     "mock": "amr_drivers.mock.scanner",
     "replay": "amr_drivers.replay.scanner",
+    "sick_cola": "amr_drivers.sick_cola.driver",
     "sick_s300": "amr_drivers.sick_s300.driver",
     "sick_safety": "amr_drivers.sick_safety.driver",
 }

@@ -15,7 +15,10 @@ from typing import Final, cast
 
 from amr_drivers.conformance.rig import MakeRig
 
-_RIGS: Final = ("amr_drivers.conformance.rigs.sick_s300:rigs",)
+_RIGS: Final = (
+    "amr_drivers.conformance.rigs.sick_cola:rigs",
+    "amr_drivers.conformance.rigs.sick_s300:rigs",
+)
 _GROUP: Final = "amr_slam.rigs"
 
 
