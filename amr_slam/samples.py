@@ -67,12 +67,37 @@ class WheelSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JointSample:
+    """The joints of any other drive at one instant: wheels that roll, axles that steer.
+
+    Raises ValueError when there is not one angle for each name.
+    """
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    """As the drive calls them, in its order: ``("drive", "steer")``."""
+    angles_rad: tuple[float, ...]
+    """One for each name. Rolling: summed since the source was opened, forward positive, never
+    wrapped. Steering: the angle itself, counter-clockwise positive."""
+    segment: int = 0
+    """As in :class:`WheelSample`."""
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.angles_rad):
+            raise ValueError(f"{len(self.angles_rad)} angles for {len(self.names)} joints")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OdometrySample:
     """A pose that somebody else integrated from the wheels (logs, drives with own odometry)."""
 
     stamp_ns: int
     odom_from_base: Pose2
     segment: int = 0
+
+
+DriveSample = WheelSample | JointSample | OdometrySample
+"""What an odometry source may give."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -261,7 +286,7 @@ class Scanner(Protocol):
 class OdometrySource(Protocol):
     """A wheel odometry driver; same rules as :class:`Scanner`."""
 
-    def read(self, timeout_s: float) -> WheelSample | OdometrySample | None: ...
+    def read(self, timeout_s: float) -> DriveSample | None: ...
 
     def info(self) -> DeviceInfo: ...
 

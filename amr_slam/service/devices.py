@@ -18,19 +18,18 @@ from amr_drivers.errors import DriverError
 from amr_slam.config import OdometrySettings, ScannerSettings
 from amr_slam.samples import (
     DeviceInfo,
+    DriveSample,
     Health,
     Link,
-    OdometrySample,
     OdometrySource,
     Scan,
     Scanner,
     Tap,
-    WheelSample,
     untapped,
 )
 
 _log = logging.getLogger(__name__)
-_SampleT = TypeVar("_SampleT", Scan, WheelSample | OdometrySample)
+_SampleT = TypeVar("_SampleT", Scan, DriveSample)
 
 _READ_TIMEOUT_S: Final = 0.2
 _STATUS_PERIOD_NS: Final = 200_000_000
@@ -278,13 +277,13 @@ class Thinning:
         return (stamp_ns // self._period_ns + 1) * self._period_ns
 
 
-class WheelsThread(DeviceThread[WheelSample | OdometrySample]):
+class WheelsThread(DeviceThread[DriveSample]):
     """The wheels; nothing is integrated across a reconnection."""
 
     def __init__(
         self,
         settings: OdometrySettings,
-        sink: Callable[[WheelSample | OdometrySample | DeviceEnded], object],
+        sink: Callable[[DriveSample | DeviceEnded], object],
         reconnect_max_s: float,
         stale_s: float,
     ) -> None:
@@ -299,10 +298,10 @@ class WheelsThread(DeviceThread[WheelSample | OdometrySample]):
         self._first_segment = self._segment + 1
         return self._source
 
-    def _read(self) -> WheelSample | OdometrySample | None:
+    def _read(self) -> DriveSample | None:
         return self._source.read(_READ_TIMEOUT_S)
 
-    def _selected(self, sample: WheelSample | OdometrySample) -> WheelSample | OdometrySample:
+    def _selected(self, sample: DriveSample) -> DriveSample:
         # A driver that is opened anew counts its angles and segments from 0 again.
         self._segment = self._first_segment + sample.segment
         return replace(sample, segment=self._segment)

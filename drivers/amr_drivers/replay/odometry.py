@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from amr_drivers.replay.player import Track
-from amr_slam.samples import DeviceInfo, OdometrySample, Scan, WheelSample
+from amr_slam.samples import DeviceInfo, DriveSample, Scan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,7 +28,7 @@ class ReplayOdometry:
         self._log = settings.log
         self._track = Track(settings.log, None)
 
-    def read(self, timeout_s: float) -> WheelSample | OdometrySample | None:
+    def read(self, timeout_s: float) -> DriveSample | None:
         sample = self._track.read(timeout_s)
         return None if isinstance(sample, Scan) else sample
 
