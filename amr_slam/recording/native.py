@@ -102,7 +102,10 @@ def read_native(path: Path) -> Log:
     try:
         with path.open("rb") as stream:
             for topic, schema, data in _messages(stream):
-                if not (topic in {"/wheels", "/odometry", "/truth"} or topic.startswith("/scan/")):
+                if not (
+                    topic in {"/wheels", "/joints", "/odometry", "/truth"}
+                    or topic.startswith("/scan/")
+                ):
                     continue
                 match messages.decode(schema, data):
                     case (stamp_ns, pose):
