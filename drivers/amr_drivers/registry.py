@@ -5,12 +5,13 @@ A plug-in names its module under ``amr_slam.scanners`` or ``amr_slam.odometry``:
     [project.entry-points."amr_slam.scanners"]
     acme_lidar = "acme_amr.lidar"
 
-The module has a frozen dataclass ``Settings`` (str, int, float, bool, Literal and further frozen
-dataclasses only: the configuration checks it generically) and ``open_scanner(name, settings, tap)``
-or ``open_odometry(settings)``. A scanner's module may have ``scan_decoder(name, settings,
-start_ns)`` as well (:class:`amr_drivers.background.ScanDecoder`): then recordings of its bytes can
-be replayed. A module is imported when its name is asked for, not before: nobody needs the
-libraries of a device that he does not have.
+The module has a frozen dataclass ``Settings`` (str, int, float, bool, Literal, tuples of these and
+further frozen dataclasses only: the configuration checks it generically) and ``open_scanner(name,
+settings, tap)`` or ``open_odometry(settings)``. A scanner's module may have ``scan_decoder(name,
+settings, start_ns)`` as well (:class:`amr_drivers.background.ScanDecoder`): then recordings of its
+bytes can be replayed. An odometry's ``Settings`` may tell by ``joints`` what its samples hold, so
+that a ``[drive]`` made for others is refused at the start. A module is imported when its name is
+asked for, not before: nobody needs the libraries of a device that he does not have.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ _SCANNERS = {
 }
 _ODOMETRY = {
     "can": "amr_drivers.can_odometry.driver",
+    "cia402": "amr_drivers.can_odometry.cia402.driver",
     "mock": "amr_drivers.mock.odometry",
     "replay": "amr_drivers.replay.odometry",
 }
