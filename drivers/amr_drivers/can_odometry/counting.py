@@ -46,6 +46,13 @@ class JointAngle:
         """Of the newest value; None before the first."""
         return None if self._latest is None else self._latest[0]
 
+    @property
+    def interval_ns(self) -> int:
+        """Between the last two values of one segment; 0 when there is but one."""
+        if self._latest is None or self._before is None:
+            return 0
+        return self._latest[0] - self._before[0]
+
     def angle_at(self, stamp_ns: int) -> float | None:
         """The angle between the last two values of one segment in rad; None outside of them."""
         if self._latest is None:

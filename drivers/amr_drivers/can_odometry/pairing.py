@@ -19,6 +19,7 @@ class Pairing:
 
     def __init__(self, joints: Mapping[str, JointAngle]) -> None:
         self._joints = joints
+        self._used_ns: dict[str, int] = {}
         self._newest_ns: int | None = None
         self._segment = 0
         self._angles: dict[str, float] = {}
@@ -27,16 +28,24 @@ class Pairing:
         }
 
     def sample(self) -> WheelSample | JointSample | None:
-        """A sample once all joints have values newer than the last sample; else None.
+        """A sample once every joint has a newer value than in the last sample; else None.
 
         Its stamp is that of the joint heard first; the others are interpolated to it, so that no
-        skew is left. A joint without two values about that instant gives no sample.
+        skew is left. Where the one heard first is due again sooner, its next value is waited for:
+        a sample is never later than half a period. A joint without two values about that instant
+        gives no sample.
         """
-        stamps = [joint.stamp_ns for joint in self._joints.values()]
-        heard = [stamp for stamp in stamps if stamp is not None]
-        if len(heard) < len(stamps):
+        heard_ns = {
+            name: joint.stamp_ns
+            for name, joint in self._joints.items()
+            if joint.stamp_ns is not None and joint.stamp_ns != self._used_ns.get(name)
+        }
+        if len(heard_ns) < len(self._joints):
             return None
-        stamp_ns = min(heard)
+        oldest = min(heard_ns, key=lambda name: heard_ns[name])
+        stamp_ns, skew_ns = heard_ns[oldest], max(heard_ns.values()) - heard_ns[oldest]
+        if 2 * skew_ns > self._joints[oldest].interval_ns:
+            return None
         if self._newest_ns is not None and stamp_ns <= self._newest_ns:
             return None
         angles: dict[str, float] = {}
@@ -49,6 +58,7 @@ class Pairing:
         segment = sum(joint.segment for joint in self._joints.values())
         self._watch(angles, segment)
         self._newest_ns, self._segment, self._angles = stamp_ns, segment, angles
+        self._used_ns = heard_ns
         return _sample(stamp_ns, angles, segment)
 
     def hint(self) -> str | None:
