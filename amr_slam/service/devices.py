@@ -32,7 +32,9 @@ _log = logging.getLogger(__name__)
 _SampleT = TypeVar("_SampleT", Scan, DriveSample)
 
 _READ_TIMEOUT_S: Final = 0.2
-_STATUS_PERIOD_NS: Final = 200_000_000
+_WHEELS_READ_TIMEOUT_S: Final = 0.05
+_STATUS_PERIOD_NS: Final = 50_000_000
+"""With the wheels' reads: a bus that is off stands in the health within 0.1 s."""
 _FIRST_RETRY_S: Final = 0.5
 _JITTER: Final = 0.2
 """Of a waiting time: devices that were lost together are not tried together."""
@@ -299,7 +301,7 @@ class WheelsThread(DeviceThread[DriveSample]):
         return self._source
 
     def _read(self) -> DriveSample | None:
-        return self._source.read(_READ_TIMEOUT_S)
+        return self._source.read(_WHEELS_READ_TIMEOUT_S)
 
     def _selected(self, sample: DriveSample) -> DriveSample:
         # A driver that is opened anew counts its angles and segments from 0 again.

@@ -21,6 +21,8 @@ _MAX_TROUBLES: Final = 100
 _MAX_AGE_S: Final = 10.0
 """A frame cannot have waited for longer: the sender's clock, not ours, has stamped it."""
 _FLUSH_S: Final = 1.0
+_TCP_SILENCE_S: Final = 2.0
+"""A TCP connection without a frame for so long is made anew: a pulled cable does not tell."""
 
 
 class CanBus:
@@ -31,6 +33,7 @@ class CanBus:
 
     def __init__(self, settings: BusSettings, filters: list[Filter]) -> None:
         self._channel = settings.channel
+        self._is_tcp = settings.channel.startswith("socket://")
         self._troubles = 0
         self._receiving = threading.Lock()
         self._closed = threading.Event()
@@ -54,6 +57,7 @@ class CanBus:
                 message = None
             self._back_ns = time.monotonic_ns()
             if message is None:
+                self._refuse_silence()
                 return None
             self._heard_ns, self._troubles = self._back_ns, 0
             return _frame(message)
@@ -86,6 +90,11 @@ class CanBus:
         if now_ns - self._back_ns > 1e9 * _SLICE_S or now_ns - newest_ns > 1e9 * _FLUSH_S:
             self._flush()
 
+    def _refuse_silence(self) -> None:
+        silent_s = 1e-9 * (self._back_ns - self._heard_ns)
+        if self._is_tcp and silent_s > _TCP_SILENCE_S:
+            raise LinkLost(f"{self._channel}: silent for {silent_s:.1f} s")
+
     def _flush(self) -> None:
         self._flushed_ns = time.monotonic_ns()
         if isinstance(self._bus, slcanBus):
@@ -106,6 +115,7 @@ class CanBus:
 
 def _open(settings: BusSettings, filters: list[Filter]) -> can.BusABC:
     options: dict[str, Any] = {}
+    channel = settings.channel
     if settings.interface == "slcan":
         # Its default time-out, 1 ms, wakes the processor a thousand times a second.
         options = {"timeout": 0.02, "sleep_after_open": settings.open_delay_s}
@@ -115,11 +125,17 @@ def _open(settings: BusSettings, filters: list[Filter]) -> can.BusABC:
             {"can_id": wanted.identifier, "can_mask": wanted.mask, "extended": wanted.is_extended}
             for wanted in filters
         ]
+    elif settings.interface == "udp_multicast":
+        # A stand-in for a bus: it never leaves this machine.
+        options["hop_limit"] = 0
+        channel, _, port = channel.partition("@")
+        if port:
+            options["port"] = _port(port)
     where = f"{settings.interface} {settings.channel}"
     try:
         return can.Bus(
             interface=settings.interface,
-            channel=settings.channel,
+            channel=channel,
             bitrate=settings.bitrate,
             ignore_config=True,
             **options,
@@ -128,6 +144,12 @@ def _open(settings: BusSettings, filters: list[Filter]) -> can.BusABC:
         raise ValueError(f"{where}: {error}") from error
     except (can.CanError, OSError) as error:
         raise LinkLost(f"{where}: {error}") from error
+
+
+def _port(text: str) -> int:
+    if not (text.isdecimal() and 0 < int(text) < 65536):
+        raise ValueError(f"udp_multicast: {text!r} is no port; the channel is GROUP or GROUP@PORT")
+    return int(text)
 
 
 def _frame(message: can.Message) -> Frame:
@@ -152,8 +174,13 @@ def _stamp_ns(wall_s: float) -> int:
 
 
 def _shut_down(bus: can.BusABC) -> None:
+    port = bus.serialPortOrig if isinstance(bus, slcanBus) else None
+    # pyserial leaves the socket of a socket:// port open when its other end has hung up first.
+    connection = getattr(port, "_socket", None)
     with contextlib.suppress(can.CanError, OSError):
         bus.shutdown()
-    if isinstance(bus, slcanBus):
-        # Its shutdown gives up before the port is closed when the adapter is gone.
-        bus.serialPortOrig.close()
+    if port is not None:
+        # The bus's shutdown gives up before the port is closed when the adapter is gone.
+        port.close()
+    if connection is not None:
+        connection.close()

@@ -21,7 +21,8 @@ class BusSettings:
     interface: str = "socketcan"
     """python-can's name: socketcan, slcan, udp_multicast, pcan, ..."""
     channel: str = "can0"
-    """Network interface; serial port or socket://host:port of an slcan adapter; multicast group."""
+    """Network interface; serial port or socket://HOST:PORT of an slcan adapter; GROUP or GROUP@PORT
+    of udp_multicast."""
     bitrate: Annotated[int, Gt(0), Le(1_000_000)] = 500_000
     """For adapters that are told; a socketcan interface has its own from ``ip link``."""
     open_delay_s: Annotated[float, Ge(0), Le(10)] = 0.0
