@@ -30,9 +30,10 @@ _MAX_STEER_RAD: Final = 4.0 * math.pi
 class DbcDecoder(JointsDecoder):
     """Frames in, wheel samples out; keeps the joints' history. Raises ValueError as Signals."""
 
-    def __init__(self, settings: Settings, start_ns: int) -> None:
+    def __init__(self, settings: Settings, start_ns: int, signals: Signals | None = None) -> None:
+        """``signals``: those of ``settings``, where they were read from the file already."""
         self._settings = settings
-        self._signals = Signals(settings.dbc, settings.signals, settings.sequence_signal)
+        self._signals = signals or Signals(settings.dbc, settings.signals, settings.sequence_signal)
         self._filters = self._signals.filters()
         joints = {name: self._joint(name, settings.limits) for name in self._signals.joints}
         super().__init__(joints, settings.silence_s, start_ns)
