@@ -233,3 +233,34 @@ def test_a_frame_that_waited_in_the_kernel_keeps_its_stamp() -> None:
 def test_an_interface_that_does_not_exist_is_a_mistake_in_the_settings() -> None:
     with pytest.raises(ValueError, match="carrier_pigeon"):
         open_odometry(replace(SETTINGS, interface="carrier_pigeon"))
+
+
+@pytest.mark.parametrize("code", [100, 19])  # ENETDOWN, ENODEV: ip link set down, ip link del
+def test_an_interface_that_goes_down_is_a_lost_link(
+    virtual: tuple[can.BusABC, CanOdometry], code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, driver = virtual
+
+    def down(timeout: float | None) -> None:
+        raise can.CanOperationError("Network is down", code)
+
+    monkeypatch.setattr(driver._bus._bus, "_recv_internal", down)
+    with pytest.raises(LinkLost, match="Network is down"):
+        driver.read(DEADLINE_S)
+
+
+def test_socketcan_filters_in_the_kernel(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What cannot be opened here is at least asked for as the kernel wants it."""
+    asked: list[dict[str, object]] = []
+
+    def bus(**options: object) -> can.BusABC:
+        asked.append(options)
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr(can, "Bus", bus)
+    with pytest.raises(LinkLost, match=r"socketcan can0: .*Address family"):
+        open_odometry(replace(SETTINGS, interface="socketcan", channel="can0"))
+    assert asked[0]["can_filters"] == [{"can_id": 0x200, "can_mask": 0x7FF, "extended": False}]
+    assert asked[0]["channel"] == "can0"

@@ -26,8 +26,6 @@ class Cia402Decoder(JointsDecoder):
         self._by_tpdo = {node.settings.cob_id: node for node in self._nodes}
         self._by_number = {node.settings.node: node for node in self._nodes}
         self._sync_ns: int | None = None
-        self._synced_ns: dict[int, int] = {}
-        """By node number, the SYNC of its newest TPDO."""
         self._outgoing: list[Frame] = []
         if settings.start_nodes:
             self._outgoing = [_start(node.settings.node, start_ns) for node in self._nodes]
@@ -75,13 +73,11 @@ class Cia402Decoder(JointsDecoder):
     def _take_tpdo(self, node: Node, frame: Frame) -> bool:
         stamp_ns = frame.stamp_ns
         if self._settings.sync:
-            sync_ns, number = self._sync_ns, node.settings.node
             window_ns = round(1e9 * self._settings.sync_window_s)
-            if sync_ns is None or not 0 <= stamp_ns - sync_ns <= window_ns:
+            if self._sync_ns is None or not 0 <= stamp_ns - self._sync_ns <= window_ns:
                 return False
-            if self._synced_ns.get(number) == sync_ns:
-                return False
-            stamp_ns = self._synced_ns[number] = sync_ns
+            # A second one after the same SYNC is not newer, and dropped.
+            stamp_ns = self._sync_ns
         return node.hear_tpdo(stamp_ns, frame.data)
 
     def _device_text(self, now_ns: int) -> str | None:
