@@ -172,6 +172,26 @@ def test_any_order_of_stamped_frames_gives_the_same_sum(
     assert newest.right_rad == pytest.approx(moved_rad, abs=1e-9)
 
 
+@pytest.mark.parametrize("periods", [50, 200])  # the sequence seems to fall, and to jump ahead
+def test_a_node_that_restarts_begins_a_segment(periods: int) -> None:
+    wheels, frames = EmulatedWheels(robot()), decoder()
+    samples: list[WheelSample] = []
+    for n in range(2 * periods):
+        if n == periods:
+            before = samples[-1]
+            wheels.restart(0.1 * n, 0.05 * n)
+        (frame,) = wheels.frames(0.1 * n, 0.05 * n)
+        for sample in fed(frames, n * PERIOD_NS, frame):
+            assert isinstance(sample, WheelSample)
+            samples.append(sample)
+    assert len(samples) == 2 * periods
+    assert [sample.segment for sample in samples] == periods * [0] + periods * [2]
+    # Nothing is taken for a motion at the restart, and all is afterwards.
+    assert samples[periods].left_rad == before.left_rad
+    moved_rad = samples[-1].left_rad - samples[periods].left_rad
+    assert moved_rad == pytest.approx(0.1 * (periods - 1), abs=2 * TURN_PER_COUNT)
+
+
 def test_sign_gear_and_counts_per_revolution() -> None:
     left = WheelSettings(signal="LeftCount", sign=-1, gear_ratio=25.0, counts_per_revolution=2000)
     right = WheelSettings(signal="RightCount", modulus_counts=100_003)

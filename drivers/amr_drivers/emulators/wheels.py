@@ -20,6 +20,12 @@ class EmulatedWheels:
     def __init__(self, settings: Settings) -> None:
         self._signals = Signals(settings.dbc, settings.signals, settings.sequence_signal)
         self._sequence = 0
+        self._zero_rad = dict.fromkeys(settings.signals, 0.0)
+
+    def restart(self, *angles_rad: float) -> None:
+        """The node lost its power with its wheels at these angles: counts and sequence from 0."""
+        self._zero_rad = dict(zip(self._zero_rad, angles_rad, strict=True))
+        self._sequence = 0
 
     def frames(self, *values: float, stamp_ns: int = 0) -> list[Frame]:
         """The frames that tell these values, one for each joint, in the order of the joints.
@@ -57,7 +63,9 @@ class EmulatedWheels:
             return self._unscaled(signal, value / settings.speed_radps(1.0))
         scale = rad_per_count(settings.counts_per_revolution, settings.gear_ratio, settings.sign)
         modulus = self._signals.moduli.get(joint, 1 << signal.bits)
-        count = round(value / scale) % modulus
+        # An absolute encoder of a steering knows its angle again.
+        zero_rad = self._zero_rad[joint] if isinstance(settings, WheelSettings) else 0.0
+        count = round((value - zero_rad) / scale) % modulus
         half = modulus // 2
         return (count + half) % (2 * half) - half if signal.is_signed else count
 
