@@ -13,8 +13,8 @@ from amr_drivers.errors import BadTelegram
 from amr_slam.samples import JointSample, WheelSample
 
 # Linux: include/uapi/linux/can/error.h. The gravest first.
+_BUS_OFF: Final = 0x040
 _CLASS_OF_ERROR: Final = (
-    (0x040, "bus-off"),
     (0x020, "no acknowledgement"),
     (0x010, "transceiver error"),
     (0x080, "bus errors"),
@@ -119,14 +119,13 @@ class JointsDecoder(ABC):
 
 def _error_text(frame: Frame) -> str | None:
     """None: nothing that goes on, as lost arbitration or a bus that was restarted."""
-    for bit, text in _CLASS_OF_ERROR[:1]:
-        if frame.identifier & bit:
-            return text
+    if frame.identifier & _BUS_OFF:
+        return "bus-off"
     if frame.identifier & _CONTROLLER_ERROR and len(frame.data) > 1:
         for bits, text in _CONTROLLER_STATES:
             if frame.data[1] & bits:
                 return text
-    for bit, text in _CLASS_OF_ERROR[1:]:
+    for bit, text in _CLASS_OF_ERROR:
         if frame.identifier & bit:
             return text
     return None
