@@ -21,6 +21,11 @@ class Settings:
     seed: Annotated[int, Ge(0)] = 1
     """Of the laboratory. Devices with the same seed are on the same robot."""
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """What samples tell: the ``[drive]`` must be made for it."""
+        return ("left", "right")
+
 
 def open_odometry(settings: Settings) -> MockOdometry:
     """Listen to the simulated robot's wheels; the robot is made when this is its first device."""
