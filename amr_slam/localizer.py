@@ -25,19 +25,18 @@ from amr_slam.odometry import Odometry
 from amr_slam.pairing import Mounting, Pairing, end_ns
 from amr_slam.samples import (
     Candidate,
-    OdometrySample,
+    DriveSample,
     Outcome,
     PoseEstimate,
     Scan,
     SlamPose,
     State,
-    WheelSample,
 )
 from amr_slam.trust import LocalizerParams, fault_of, too_wide, whole_map
 
 __all__ = ["Localizer", "LocalizerParams", "Mounting", "Sample"]
 
-Sample = WheelSample | OdometrySample | Scan | SlamResult
+Sample = DriveSample | Scan | SlamResult
 
 # Where nothing is known: wider than any hall, well inside what the filter can compute with.
 _ANYWHERE = np.diag([1e4**2, 1e4**2, math.pi**2])
@@ -71,7 +70,7 @@ class Localizer:
         self._start = start
         self._located = start is not None
         self._filter: PoseFilter | None = None
-        self._wheels: WheelSample | OdometrySample | None = None
+        self._wheels: DriveSample | None = None
         self._request: SlamRequest | None = None
         self._busy = False
         self._agreeing: list[SlamPose] = []
@@ -104,7 +103,7 @@ class Localizer:
         """The request handed out last will never be answered (the worker died)."""
         self._busy = False
 
-    def _handle_wheels(self, sample: WheelSample | OdometrySample) -> Outcome:
+    def _handle_wheels(self, sample: DriveSample) -> Outcome:
         if self._filter is None:
             pose, covariance = self._start or (Pose2.identity(), _ANYWHERE)
             self._filter = PoseFilter(self._filter_params, sample.stamp_ns, pose, covariance)

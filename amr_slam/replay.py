@@ -11,7 +11,7 @@ from amr_slam.engine import SlamEngine, SlamResult
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer
 from amr_slam.recording import Trajectory
-from amr_slam.samples import OdometrySample, Outcome, Scan, WheelSample
+from amr_slam.samples import DriveSample, Outcome, Scan
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -31,8 +31,8 @@ class ReplayResult:
 
 
 def thin_scans(
-    samples: Iterable[Scan | WheelSample | OdometrySample], scan_period_s: float
-) -> Iterator[Scan | WheelSample | OdometrySample]:
+    samples: Iterable[Scan | DriveSample], scan_period_s: float
+) -> Iterator[Scan | DriveSample]:
     """At most one scan in ``scan_period_s`` of each scanner; wheels untouched."""
     newest_ns: dict[str, int] = {}
     for sample in samples:
@@ -45,7 +45,7 @@ def thin_scans(
 
 
 def replay(
-    samples: Iterable[Scan | WheelSample | OdometrySample],
+    samples: Iterable[Scan | DriveSample],
     localizer: Localizer,
     engine: SlamEngine,
     on_progress: Callable[[int], None] | None = None,

@@ -67,12 +67,37 @@ class WheelSample:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JointSample:
+    """The joints of any other drive at one instant: wheels that roll, axles that steer.
+
+    Raises ValueError when there is not one angle for each name.
+    """
+
+    stamp_ns: int
+    names: tuple[str, ...]
+    """As the drive calls them, in its order: ``("drive", "steer")``."""
+    angles_rad: tuple[float, ...]
+    """One for each name. Rolling: summed since the source was opened, forward positive, never
+    wrapped. Steering: the angle itself, counter-clockwise positive."""
+    segment: int = 0
+    """As in :class:`WheelSample`."""
+
+    def __post_init__(self) -> None:
+        if len(self.names) != len(self.angles_rad):
+            raise ValueError(f"{len(self.angles_rad)} angles for {len(self.names)} joints")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class OdometrySample:
     """A pose that somebody else integrated from the wheels (logs, drives with own odometry)."""
 
     stamp_ns: int
     odom_from_base: Pose2
     segment: int = 0
+
+
+DriveSample = WheelSample | JointSample | OdometrySample
+"""What an odometry source may give."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -134,25 +159,36 @@ class RawBytes:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RawFrame:
-    """One CAN frame as it came from the bus."""
+class CanFrame:
+    """One CAN frame as it came over the bus, or as it shall go."""
 
-    device: str
     stamp_ns: int
     """When it was received."""
-    arbitration_id: int
-    extended: bool = False
-    """The identifier has 29 bits, not 11."""
-    remote: bool = False
-    error: bool = False
-    """The adapter's report of a bus error: ``arbitration_id`` is its class."""
+    identifier: int
+    """11 or 29 bits; of an error frame its class bits."""
     data: bytes = b""
+    is_extended: bool = False
+    """The identifier has 29 bits, not 11."""
+    is_error: bool = False
+    """No data at all: the interface tells of trouble on the bus."""
+    is_remote: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawFrame(CanFrame):
+    """A frame as a device's driver got it."""
+
+    device: str
+    """Name in the configuration."""
 
 
 Raw = RawBytes | RawFrame
 
-Tap = Callable[[Raw], object]
-"""Takes a copy of all that passes on a device's line; returns at once; any thread."""
+Tap = Callable[[RawBytes], object]
+"""Takes a copy of all bytes that pass on a scanner's line; returns at once; any thread."""
+
+FrameTap = Callable[[RawFrame], object]
+"""The same of the frames on the wheels' bus."""
 
 WHEELS: Final = "wheels"
 """What the odometry is called where devices are named; no scanner may have this name."""
@@ -284,7 +320,7 @@ class Scanner(Protocol):
 class OdometrySource(Protocol):
     """A wheel odometry driver; same rules as :class:`Scanner`."""
 
-    def read(self, timeout_s: float) -> WheelSample | OdometrySample | None: ...
+    def read(self, timeout_s: float) -> DriveSample | None: ...
 
     def info(self) -> DeviceInfo: ...
 

@@ -112,7 +112,7 @@ def _raw(second: int, ranges_m: np.ndarray) -> list[Raw]:
     for n in range(WHEELS_HZ):
         stamp_ns = second * _S + n * _S // WHEELS_HZ
         data = (second * 50 + n).to_bytes(8, "little")
-        raw.append(RawFrame(device="wheels", stamp_ns=stamp_ns, arbitration_id=0x181, data=data))
+        raw.append(RawFrame(device="wheels", stamp_ns=stamp_ns, identifier=0x181, data=data))
     return raw
 
 

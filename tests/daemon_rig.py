@@ -15,6 +15,7 @@ from typing import Self
 
 from paths import REPO
 
+from amr_drivers.can_odometry.settings import Settings
 from amr_drivers.emulators.s300 import EmulatedS300
 from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_drivers.emulators.wheels import EmulatedWheels
@@ -111,7 +112,7 @@ class Robot:
         world = laboratory(3)
         self.front, self.rear = EmulatedS300(folder / "front"), EmulatedS300(folder / "rear")
         self.can = EmulatedSlcan(folder / "can")
-        self._wheels = EmulatedWheels(DBC, sequence_signal="Sequence")
+        self._wheels = EmulatedWheels(Settings(dbc=DBC, sequence_signal="Sequence"))
         self._robot = SimulatedRobot(
             world=world,
             world_from_map=plan_tour(world).world_from_map,
@@ -131,8 +132,8 @@ class Robot:
                     scanner = self.front if sample.scanner == "front" else self.rear
                     scanner.measure(sample.ranges_m)
                 elif isinstance(sample, WheelSample):
-                    for number, _, data in self._wheels.frames(sample.left_rad, sample.right_rad):
-                        self.can.send(number, data)
+                    for frame in self._wheels.frames(sample.left_rad, sample.right_rad):
+                        self.can.send(frame)
             self._stop.wait(max(0.0, 1e-9 * (self._robot.stamp_ns - time.monotonic_ns())))
 
     def __enter__(self) -> Self:

@@ -15,7 +15,7 @@ from paths import REPO
 from robot_file import ROBOT, edited
 
 from amr_drivers.can_odometry import driver as can
-from amr_drivers.can_odometry.frames import WheelSettings
+from amr_drivers.can_odometry.settings import WheelSettings
 from amr_drivers.sick_s300 import driver as s300
 from amr_slam import config
 from amr_slam.config import ConfigError
@@ -78,6 +78,7 @@ def test_lists_become_tuples_and_strings_paths(tmp_path: Path) -> None:
 def test_a_drive_with_odometry_of_its_own() -> None:
     table = tomllib.loads(ROBOT)
     table["drive"] = {"kind": "poses"}
+    table["odometry"] = {"driver": "replay", "options": {"log": "run.mcap"}}
     assert config.parse(table).drive == PoseOdometry()
 
 
@@ -191,6 +192,7 @@ def test_default_toml_has_every_key() -> None:
     table = tomllib.loads(file.read_text())
     del table["drive"]["kind"], table["slam"]["preset"]
     table["map"]["path"] = "only in a comment, as mapping must not have it"
+    table["odometry"]["options"] |= {"drive": "as well", "steer": "a tricycle's"}
     table["scanners"] = table["scanners"][0]
     loaded = config.load(file)
     assert keys(table) == keys(replace(loaded, scanners=loaded.scanners[0]))  # type: ignore[arg-type]  # one, as in the table

@@ -129,8 +129,8 @@ EDITS: dict[str, tuple[tuple[str, str], str]] = {
     ),
     # choices
     "unknown drive": (
-        ('"differential"', '"tricycle"'),
-        'drive.kind: should be one of: differential, poses; not "tricycle"',
+        ('"differential"', '"bicycle"'),
+        'drive.kind: should be one of: differential, tricycle, poses; not "bicycle"',
     ),
     "unknown preset": (
         ('"default"', '"papr"'),

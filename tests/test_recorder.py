@@ -142,7 +142,7 @@ class Rig:
 def test_all_kinds_of_things_are_saved_in_their_order(config: tuple[Config, Path]) -> None:
     rig = Rig(config)
     with rig as recorder:
-        frame = RawFrame(device="wheels", stamp_ns=2, arbitration_id=0x181, data=b"\x01")
+        frame = RawFrame(device="wheels", stamp_ns=2, identifier=0x181, data=b"\x01")
         opened = RawBytes(device="front", stamp_ns=1, way=Way.OPENED)
         for thing in (opened, raw(2), frame, raw(3)):
             recorder.tap(thing)

@@ -24,7 +24,7 @@ from amr_slam.recording import (
     write_tum,
 )
 from amr_slam.recording.messages import Entry
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import JointSample, OdometrySample, Scan, WheelSample
 
 LOGS = SHARED / "data" / "logs"
 needs_logs = pytest.mark.skipif(not LOGS.is_dir(), reason="public robot logs are not here")
@@ -211,6 +211,13 @@ samples = st.one_of(
         stamp_ns=stamps,
         left_rad=numbers,
         right_rad=numbers,
+        segment=st.integers(0, 9),
+    ),
+    st.builds(
+        JointSample,
+        stamp_ns=stamps,
+        names=st.just(("drive", "steer")),
+        angles_rad=st.tuples(numbers, numbers),
         segment=st.integers(0, 9),
     ),
     st.builds(OdometrySample, stamp_ns=stamps, odom_from_base=poses, segment=st.integers(0, 9)),

@@ -18,11 +18,11 @@ from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
 from amr_slam.map import PointMap
-from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry
+from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry, TricycleDrive
 from amr_slam.params import SlamParams
-from amr_slam.recording import Sample, Trajectory, read_log, read_tum
+from amr_slam.recording import RecordingWriter, Sample, Trajectory, read_log, read_tum
 from amr_slam.replay import ReplayResult, replay, spread, thin_scans
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import JointSample, OdometrySample, Scan, WheelSample
 from amr_slam.simulation import (
     PathFollower,
     ScannerModel,
@@ -90,6 +90,46 @@ def test_a_simulated_log_comes_out_where_the_robot_was_and_twice_the_same() -> N
     np.testing.assert_array_equal(again.final.poses, result.final.poses)
     np.testing.assert_array_equal(again.error95_m, result.error95_m)
     np.testing.assert_array_equal(same_map.walls.sums, grown.walls.sums)
+
+
+def test_a_tricycle_comes_out_where_the_robot_was_by_way_of_a_recording(tmp_path: Path) -> None:
+    """The same tour as a truck's steered wheel 1.2 m ahead of the axle would have counted it."""
+    samples, truth, mountings = driven()
+    truck = TricycleDrive(radius_m=0.12, wheel_base_m=1.2, max_turn_radps=3.0)
+    file = tmp_path / "truck.mcap"
+    with RecordingWriter(file) as writer:
+        for sample in as_tricycle(samples, truck):
+            writer.write(sample)
+    read = list(read_log(file).samples)
+    assert {type(sample) for sample in read} == {Scan, JointSample}
+    result, _ = run(read, truck, mountings)
+    error = absolute_trajectory_error(result.online, truth, align=False)
+    assert error.position_m.rms < 0.03
+    assert error.heading_deg.rms < 0.5
+
+
+def as_tricycle(samples: list[Sample], truck: TricycleDrive) -> list[Sample]:
+    """Each wheel sample's step rolled and steered by the truck's wheel; scans as they are."""
+    told: list[Sample] = []
+    rolled_rad = steer_rad = 0.0
+    last: WheelSample | None = None
+    for sample in samples:
+        if not isinstance(sample, WheelSample):
+            told.append(sample)
+            continue
+        if last is not None:
+            delta = drive().motion(last, sample).delta
+            way = math.hypot(delta.x_m, delta.theta_rad * truck.wheel_base_m)
+            wanted_rad = math.atan2(delta.theta_rad * truck.wheel_base_m, delta.x_m)
+            turned_rad = math.remainder(wanted_rad - steer_rad, 2.0 * math.pi) if way else 0.0
+            # Half a turn of the steering is the other way of rolling: whichever is nearer.
+            back = abs(turned_rad) > math.pi / 2
+            steer_rad += math.remainder(turned_rad - math.pi, 2 * math.pi) if back else turned_rad
+            rolled_rad += (-way if back else way) / truck.radius_m
+        last = sample
+        angles = (rolled_rad, steer_rad)
+        told.append(JointSample(stamp_ns=sample.stamp_ns, names=truck.joints, angles_rad=angles))
+    return told
 
 
 def test_the_online_pose_knows_nothing_of_what_comes_later() -> None:

@@ -20,7 +20,7 @@ from amr_drivers import registry
 from amr_drivers.errors import LinkLost
 from amr_drivers.mock.scanner import Settings as MockSettings
 from amr_slam.config import MountingSettings, OdometrySettings, ScannerSettings
-from amr_slam.samples import DeviceInfo, Link, OdometrySample, Scan, WheelSample
+from amr_slam.samples import DeviceInfo, DriveSample, Link, Scan, WheelSample
 from amr_slam.service.clocks import PoseSchedule, WallClock
 from amr_slam.service.devices import DeviceEnded, ScannerThread, Thinning, WheelsThread
 from amr_slam.service.usage import Usage
@@ -210,7 +210,7 @@ class Device:
         self.script.closed += 1
 
 
-Got = list[WheelSample | OdometrySample | DeviceEnded]
+Got = list[DriveSample | DeviceEnded]
 
 
 def wheels_of(

@@ -19,7 +19,7 @@ from amr_slam.calibration.report import config_lines, describe, drifted, plot
 from amr_slam.config import ConfigError, load
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.recording import RecordingError, read_log
-from amr_slam.samples import OdometrySample
+from amr_slam.samples import Scan, WheelSample
 
 
 def main() -> int:
@@ -41,7 +41,7 @@ def _run(arguments: argparse.Namespace) -> int:
         raise ConfigError("only a differential drive can be calibrated", ("drive", "kind"))
     log = read_log(arguments.log)
     found = calibrate(
-        [sample for sample in log.samples if not isinstance(sample, OdometrySample)],
+        [sample for sample in log.samples if isinstance(sample, Scan | WheelSample)],
         config.drive,
         {scanner.name: scanner.mounting.mounting for scanner in config.scanners},
         config.slam,

@@ -40,9 +40,17 @@ REQUIRED: dict[str, Any] = {
     "scanners.options.port": "/dev/serial/by-id/usb-front",
     "map.mode": "mapping",
 }
-ABSENT = {"map.path": "maps/hall.amrmap"}
+ABSENT = {
+    "map.path": '"maps/hall.amrmap"',
+    "odometry.options.drive": '{ message = "Traction", signal = "DriveCount" }',
+    "odometry.options.steer": '{ message = "Steering", signal = "SteerAngle", unit = "deg" }',
+}
 CHOICES = {
-    "drive": ("kind", "differential", "How wheel samples become motion: differential or poses."),
+    "drive": (
+        "kind",
+        "differential",
+        "How wheel samples become motion: differential, tricycle or poses.",
+    ),
     "slam": ("preset", "default", "The values that the others start from: default or paper."),
 }
 
@@ -89,7 +97,7 @@ def _settings(path: str) -> type[Any]:
 def _key(path: str, value: Any, doc: str) -> Iterator[str]:
     yield from _comment(f"REQUIRED. {doc}" if path in REQUIRED else doc)
     key = path.rpartition(".")[2]
-    shown = json.dumps(ABSENT.get(path, value), default=str)
+    shown = ABSENT.get(path) or json.dumps(value, default=str)
     yield f"# {key} = {shown}" if path in ABSENT else f"{key} = {shown}"
 
 
@@ -106,8 +114,9 @@ def _own_default(field: Field[Any]) -> Any:
 
 
 def _field_docs(cls: type[Any]) -> dict[str, str]:
-    """The string literal under each field."""
-    tree = ast.parse(textwrap.dedent(inspect.getsource(cls)))
+    """The string literal under each field, also of the classes that it inherits from."""
+    sources = [inspect.getsource(base) for base in cls.__mro__ if is_dataclass(base)]
+    tree = ast.parse("".join(map(textwrap.dedent, sources)))
     body = [ast.unparse(node) for cls_node in tree.body for node in ast.iter_child_nodes(cls_node)]
     return {
         field.partition(":")[0]: ast.literal_eval(doc)

@@ -26,7 +26,7 @@ from amr_slam.odometry import DifferentialDrive
 from amr_slam.params import SlamParams
 from amr_slam.recording import Trajectory
 from amr_slam.replay import replay, thin_scans
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import Scan, WheelSample
 
 # How far a scan may be from where the first pass and the given mounting expect it (1 sigma): the
 # mounting's error most of all.
@@ -65,7 +65,7 @@ def find_sightings(
         if not isinstance(sample, Scan) or sample.scanner in lags_ns
     ]
     corrected.sort(key=lambda sample: (sample.stamp_ns, isinstance(sample, Scan)))
-    thinned = [s for s in thin_scans(corrected, scan_period_s) if not isinstance(s, OdometrySample)]
+    thinned = [s for s in thin_scans(corrected, scan_period_s) if isinstance(s, Scan | WheelSample)]
     grown = PointMap(params.map, "calibration")
     mountings = {
         # The scans' stamps are corrected above, once.

@@ -16,11 +16,11 @@ from amr_slam.config import Config, ConfigError, load, recorded_settings
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Mounting
 from amr_slam.map import MapError
-from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry
+from amr_slam.odometry import Odometry, PoseOdometry, joints_of
 from amr_slam.params import SlamParams, preset
 from amr_slam.recording import Log, RecordedDevice, RecordingError, Sample, read_log
 from amr_slam.replay import thin_scans
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import Scan
 
 _log = logging.getLogger(__name__)
 
@@ -122,22 +122,27 @@ def _mountings(
 
 def odometry(source: Source) -> Odometry:
     """What turns the log's wheel samples into motion. Raises RecordingError and UsageError."""
-    kinds = {type(sample) for sample in source.samples if not isinstance(sample, Scan)}
+    kinds = {joints_of(sample) for sample in source.samples if not isinstance(sample, Scan)}
     if not kinds:
         raise RecordingError(f"{source.path}: holds no odometry")
     if len(kinds) > 1:
-        raise RecordingError(f"{source.path}: holds wheel angles and integrated poses")
-    drive = source.config.drive if source.config is not None else None
-    if kinds == {OdometrySample}:
-        if isinstance(drive, DifferentialDrive):
+        found = " and ".join(sorted(map(_kind, kinds)))
+        raise RecordingError(f"{source.path}: holds {found}")
+    (joints,) = kinds
+    if source.config is None:
+        if joints:
             raise UsageError(
-                f"{source.path}: holds integrated poses: drive.kind must be poses, not differential"
+                f"{source.path}: holds {_kind(joints)}: a --config must tell the drive's measures"
             )
-        return drive or PoseOdometry()
-    assert kinds == {WheelSample}
-    if not isinstance(drive, DifferentialDrive):
+        return PoseOdometry()
+    drive = source.config.drive
+    if drive.joints != joints:
         raise UsageError(
-            f"{source.path}: holds wheel angles: a --config with drive.kind = differential must "
-            "tell the wheels' radii and track"
+            f"{source.path}: holds {_kind(joints)}; the configuration's drive.kind is made for "
+            f"{_kind(drive.joints)}"
         )
     return drive
+
+
+def _kind(joints: tuple[str, ...]) -> str:
+    return f"wheel angles ({', '.join(joints)})" if joints else "integrated poses"

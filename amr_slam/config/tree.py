@@ -25,7 +25,7 @@ from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import LocalizerParams, Mounting
-from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry
+from amr_slam.odometry import Odometry, drive_kinds
 from amr_slam.params import Preset, SlamParams, preset
 from amr_slam.recording import RecordedDevice
 from amr_slam.recording.raw import settings_table
@@ -34,11 +34,6 @@ from amr_slam.wire import ZenohSettings
 
 _T = TypeVar("_T")
 
-DRIVES: Final[Mapping[str, type[Odometry]]] = {
-    "differential": DifferentialDrive,
-    "poses": PoseOdometry,
-}
-"""``drive.kind``: how wheel samples become motion."""
 # By these fields of a driver's Settings two devices are seen to be one.
 _ADDRESS_FIELDS: Final = ("host", "port", "channel", "path")
 
@@ -190,7 +185,11 @@ def parse(table: Mapping[str, Any]) -> Config:
     """The configuration in a table as TOML gives it. Raises ConfigError."""
     read = checked(_File, table)
     with located("drive"):
-        drive, rest = _chosen(read.drive, "kind", DRIVES, *DRIVES.values())
+        try:
+            kinds = drive_kinds()
+        except ValueError as error:
+            raise ConfigError(str(error), ("kind",)) from error
+        drive, rest = _chosen(read.drive, "kind", kinds, *kinds.values())
         motion: Odometry = checked(drive, rest)
     with located("slam"):
         presets: dict[str, Preset] = {name: name for name in get_args(Preset)}
@@ -231,6 +230,13 @@ def recorded_settings(device: RecordedDevice) -> object:
 
 def _cross_check(config: Config) -> None:
     """What no section can see alone."""
+    # Drivers of one kind of wheels alone need not tell: what does not fit is then found in use.
+    given = getattr(config.odometry.options, "joints", config.drive.joints)
+    if given != config.drive.joints:
+        raise ConfigError(
+            f"gives {_joints(given)}, and drive.kind needs {_joints(config.drive.joints)}",
+            ("odometry", "options"),
+        )
     names = {WHEELS: "odometry"}
     addresses = {_address(config.odometry.options): "odometry.options"}
     for index, scanner in enumerate(config.scanners):
@@ -283,6 +289,10 @@ def _driver_options(
         raise ConfigError(str(error), ("driver",)) from error
     with located("options"):
         return checked(settings, device.options)
+
+
+def _joints(names: tuple[str, ...]) -> str:
+    return " and ".join(names) or "integrated poses"
 
 
 def _address(settings: object) -> str:

@@ -15,10 +15,11 @@ import numpy as np
 from amr_slam.geometry import Pose2
 from amr_slam.recording.raw import RAW_PREFIX, RAW_SCHEMA, encode_raw
 from amr_slam.recording.values import Sample
-from amr_slam.samples import OdometrySample, Raw, RawBytes, RawFrame, Scan, WheelSample
+from amr_slam.samples import JointSample, OdometrySample, Raw, RawBytes, RawFrame, Scan, WheelSample
 
 MESSAGE_BOUND_BYTES = 1 << 20
 _BEAMS_BOUND = 20_000
+_JOINTS_BOUND = 64
 _COUNT_BOUND = (1 << 63) - 1
 _SECOND_NS = 1_000_000_000
 
@@ -54,6 +55,7 @@ _POSE = {
 }
 _NUMBERS = {"type": "array", "items": _NUMBER}
 _INTEGERS = {"type": "array", "items": _INTEGER}
+_STRINGS = {"type": "array", "items": _STRING}
 
 _ODOM = {"type": "object", "properties": dict.fromkeys(("x", "y", "theta"), _NUMBER)}
 _HEALTH = {
@@ -67,6 +69,7 @@ WHEELS_SCHEMA = "amr_slam.WheelSample"
 PUBLISHED_SCHEMAS = {"pose": "amr_slam.PoseMessage", "status": "amr_slam.StatusMessage"}
 """Of what was published, by the last part of its key. The messages are :mod:`amr_slam.wire`'s; the
 schemas name what a chart can show of them."""
+JOINTS_SCHEMA = "amr_slam.JointSample"
 SCHEMAS = {
     SCAN_SCHEMA: _schema(
         SCAN_SCHEMA,
@@ -113,6 +116,10 @@ SCHEMAS = {
             **dict.fromkeys(("wheels", "slam"), _HEALTH),
         },
     ),
+    JOINTS_SCHEMA: _schema(
+        JOINTS_SCHEMA,
+        {"timestamp": _TIME, "names": _STRINGS, "angles_rad": _NUMBERS, "segment": _INTEGER},
+    ),
 }
 
 
@@ -145,6 +152,14 @@ def _encode_sample(sample: Sample) -> tuple[str, str, int, bytes]:
     if isinstance(sample, OdometrySample):
         fields = _pose_fields(stamp_ns, "odom", sample.odom_from_base)
         return "/odometry", POSE_SCHEMA, stamp_ns, _bytes(fields | {"segment": sample.segment})
+    if isinstance(sample, JointSample):
+        fields = {
+            "timestamp": _time(stamp_ns),
+            "names": list(sample.names),
+            "angles_rad": list(sample.angles_rad),
+            "segment": sample.segment,
+        }
+        return "/joints", JOINTS_SCHEMA, stamp_ns, _bytes(fields)
     fields = {
         "timestamp": _time(stamp_ns),
         "left_rad": sample.left_rad,
@@ -197,7 +212,7 @@ def _pose_fields(stamp_ns: int, frame: str, frame_from_base: Pose2) -> Fields:
 
 
 def decode(schema: str, data: bytes) -> Sample | tuple[int, Pose2]:
-    """A scan, odometry or wheel sample, or (stamp in ns, pose) of a pose without a segment.
+    """Any sample, or (stamp in ns, pose) of a pose without a segment.
 
     Raises ValueError, KeyError, TypeError, OverflowError or RecursionError on anything else.
     """
@@ -216,6 +231,8 @@ def decode(schema: str, data: bytes) -> Sample | tuple[int, Pose2]:
             right_rad=_number(fields["right_rad"]),
             segment=_integer(fields["segment"]),
         )
+    if schema == JOINTS_SCHEMA:
+        return _joints(fields, stamp_ns)
     if schema != POSE_SCHEMA:
         raise ValueError(f"unknown schema {schema!r}")
     position = fields["pose"]["position"]
@@ -224,6 +241,24 @@ def decode(schema: str, data: bytes) -> Sample | tuple[int, Pose2]:
         return stamp_ns, pose
     return OdometrySample(
         stamp_ns=stamp_ns, odom_from_base=pose, segment=_integer(fields["segment"])
+    )
+
+
+def _joints(fields: Fields, stamp_ns: int) -> JointSample:
+    names, angles_rad = fields["names"], fields["angles_rad"]
+    if (
+        not isinstance(names, list)
+        or not isinstance(angles_rad, list)
+        or len(names) > _JOINTS_BOUND
+    ):
+        raise ValueError("names and angles are no lists of a possible length")
+    if not all(isinstance(name, str) for name in names):
+        raise TypeError("a joint's name is no text")
+    return JointSample(
+        stamp_ns=stamp_ns,
+        names=tuple(names),
+        angles_rad=tuple(_number(angle) for angle in angles_rad),
+        segment=_integer(fields["segment"]),
     )
 
 

@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 # A power cut costs what the newest chunk holds: two seconds of a robot with two scanners.
 _CHUNK_BYTES = 256 << 10
-_DECODED = {"/wheels", "/odometry", "/truth"}
+_DECODED = {"/wheels", "/joints", "/odometry", "/truth"}
 
 
 class RecordingWriter:

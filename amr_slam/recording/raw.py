@@ -51,8 +51,8 @@ def encode_raw(raw: Raw) -> bytes:
     """The message; device and stamp are the channel's and the log time."""
     if isinstance(raw, RawBytes):
         return _HEAD.pack(_KINDS[raw.way], 0, 0, len(raw.data)) + raw.data
-    flags = _EXTENDED * raw.extended | _REMOTE * raw.remote | _ERROR * raw.error
-    return _HEAD.pack(_FRAME, flags, raw.arbitration_id, len(raw.data)) + raw.data
+    flags = _EXTENDED * raw.is_extended | _REMOTE * raw.is_remote | _ERROR * raw.is_error
+    return _HEAD.pack(_FRAME, flags, raw.identifier, len(raw.data)) + raw.data
 
 
 def decode_raw(device: str, stamp_ns: int, message: bytes) -> Raw:
@@ -69,10 +69,10 @@ def decode_raw(device: str, stamp_ns: int, message: bytes) -> Raw:
         return RawFrame(
             device=device,
             stamp_ns=stamp_ns,
-            arbitration_id=can_id,
-            extended=bool(flags & _EXTENDED),
-            remote=bool(flags & _REMOTE),
-            error=bool(flags & _ERROR),
+            identifier=can_id,
+            is_extended=bool(flags & _EXTENDED),
+            is_remote=bool(flags & _REMOTE),
+            is_error=bool(flags & _ERROR),
             data=data,
         )
     if kind > _FRAME or flags or can_id:

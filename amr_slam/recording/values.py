@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amr_slam.geometry import Array, Pose2, readonly
-from amr_slam.samples import OdometrySample, Raw, Scan, WheelSample
+from amr_slam.samples import DriveSample, Raw, Scan
 
-Sample = Scan | OdometrySample | WheelSample
+Sample = Scan | DriveSample
 
 # 285 years: whatever claims more is damage, and nanoseconds still fit in 64 bits.
 _STAMP_BOUND_S = Decimal(9_000_000_000)

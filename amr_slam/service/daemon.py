@@ -21,7 +21,7 @@ from typing import Final
 from amr_slam.config import Config, ConfigError, load
 from amr_slam.localizer import Localizer, Sample
 from amr_slam.publishing import RobotPublisher
-from amr_slam.samples import OdometrySample, Scan, WheelSample
+from amr_slam.samples import DriveSample, Scan
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
@@ -36,7 +36,7 @@ _log = logging.getLogger(__name__)
 _SAVE_LIMIT_S: Final = 3.5
 _CLOSE_LIMIT_S: Final = 1.0
 
-_Item = Scan | WheelSample | OdometrySample | DeviceEnded | FromWorker
+_Item = Scan | DriveSample | DeviceEnded | FromWorker
 
 
 def run(config_path: Path, record: Path | None = None) -> int:
@@ -129,12 +129,12 @@ class Daemon:
         samples = self._sorted(self._take_out())
         for sample in samples:
             self._localizer.handle(sample)
-            if isinstance(sample, Scan | WheelSample | OdometrySample):
+            if isinstance(sample, Scan | DriveSample):
                 self._recorder.take(sample)
         self._hand_out_request()
         now_ns = time.monotonic_ns()
         self._worker.supervise(now_ns)
-        wheels_came = any(isinstance(s, WheelSample | OdometrySample) for s in samples)
+        wheels_came = any(isinstance(s, DriveSample) for s in samples)
         if self._schedule.takes(now_ns, wheels_came=wheels_came):
             self._reporter.publish_pose(self._localizer.estimate(now_ns))
         summary = self._reporter.report(now_ns, self._localizer.outcomes)

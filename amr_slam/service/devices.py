@@ -19,24 +19,25 @@ from amr_slam.config import OdometrySettings, ScannerSettings
 from amr_slam.samples import (
     WHEELS,
     DeviceInfo,
+    DriveSample,
     Health,
     Link,
-    OdometrySample,
     OdometrySource,
+    Raw,
     RawBytes,
     Scan,
     Scanner,
-    Tap,
     Way,
-    WheelSample,
     untapped,
 )
 
 _log = logging.getLogger(__name__)
-_SampleT = TypeVar("_SampleT", Scan, WheelSample | OdometrySample)
+_SampleT = TypeVar("_SampleT", Scan, DriveSample)
 
 _READ_TIMEOUT_S: Final = 0.2
-_STATUS_PERIOD_NS: Final = 200_000_000
+_WHEELS_READ_TIMEOUT_S: Final = 0.05
+_STATUS_PERIOD_NS: Final = 50_000_000
+"""With the wheels' reads: a bus that is off stands in the health within 0.1 s."""
 _FIRST_RETRY_S: Final = 0.5
 _JITTER: Final = 0.2
 """Of a waiting time: devices that were lost together are not tried together."""
@@ -79,7 +80,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
         sink: Callable[[_SampleT | DeviceEnded], object],
         reconnect_max_s: float,
         stale_s: float,
-        tap: Tap,
+        tap: Callable[[Raw], object],
     ) -> None:
         self.name = name
         self._tap = tap
@@ -231,7 +232,7 @@ class ScannerThread(DeviceThread[Scan]):
         settings: ScannerSettings,
         sink: Callable[[Scan | DeviceEnded], object],
         reconnect_max_s: float,
-        tap: Tap = untapped,
+        tap: Callable[[Raw], object] = untapped,
     ) -> None:
         super().__init__(settings.name, sink, reconnect_max_s, _SCANS_STALE_S, tap)
         self._settings = settings
@@ -284,16 +285,16 @@ class Thinning:
         return (stamp_ns // self._period_ns + 1) * self._period_ns
 
 
-class WheelsThread(DeviceThread[WheelSample | OdometrySample]):
+class WheelsThread(DeviceThread[DriveSample]):
     """The wheels; nothing is integrated across a reconnection."""
 
     def __init__(
         self,
         settings: OdometrySettings,
-        sink: Callable[[WheelSample | OdometrySample | DeviceEnded], object],
+        sink: Callable[[DriveSample | DeviceEnded], object],
         reconnect_max_s: float,
         stale_s: float,
-        tap: Tap = untapped,
+        tap: Callable[[Raw], object] = untapped,
     ) -> None:
         super().__init__(WHEELS, sink, reconnect_max_s, stale_s, tap)
         self._settings = settings
@@ -306,10 +307,10 @@ class WheelsThread(DeviceThread[WheelSample | OdometrySample]):
         self._first_segment = self._segment + 1
         return self._source
 
-    def _read(self) -> WheelSample | OdometrySample | None:
-        return self._source.read(_READ_TIMEOUT_S)
+    def _read(self) -> DriveSample | None:
+        return self._source.read(_WHEELS_READ_TIMEOUT_S)
 
-    def _selected(self, sample: WheelSample | OdometrySample) -> WheelSample | OdometrySample:
+    def _selected(self, sample: DriveSample) -> DriveSample:
         # A driver that is opened anew counts its angles and segments from 0 again.
         self._segment = self._first_segment + sample.segment
         return replace(sample, segment=self._segment)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
@@ -12,13 +13,14 @@ import numpy as np
 
 from amr_slam.config import Config, ConfigError, load
 from amr_slam.map import MapError, load_map
-from amr_slam.samples import Link, OdometrySample, Scan, WheelSample
+from amr_slam.odometry import joints_of
+from amr_slam.samples import DriveSample, JointSample, Link, OdometrySample, Scan, WheelSample
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 
 PROBE_S: Final = 5.0
 """Two scans of the slowest scanner, and time to push the robot."""
 
-_Received = Scan | WheelSample | OdometrySample | DeviceEnded
+_Received = Scan | DriveSample | DeviceEnded
 
 
 def check(config_path: Path, *, probe: bool) -> int:
@@ -87,7 +89,7 @@ def _seen(
     if isinstance(device, ScannerThread):
         line += _scans_seen([r for r in received if isinstance(r, Scan)], device.name)
     else:
-        line += _wheels_seen([r for r in received if isinstance(r, WheelSample | OdometrySample)])
+        line += _wheels_seen([r for r in received if isinstance(r, DriveSample)])
     line += f"; {health.samples} samples, {health.rate_hz:.1f} Hz, {health.errors} errors"
     if health.link is not Link.OK or health.detail is not None:
         return f"{line}; NOT WELL: {health.detail or 'nothing received'}", False
@@ -104,14 +106,31 @@ def _scans_seen(scans: Sequence[Scan], name: str) -> str:
     return f"; {len(measured)} of {len(ranges)} beams measure{nearest}"
 
 
-def _wheels_seen(samples: Sequence[WheelSample | OdometrySample]) -> str:
+def _wheels_seen(samples: Sequence[DriveSample]) -> str:
+    """How far the wheels have turned meanwhile, or what the vehicle integrated."""
     if not samples:
         return ""
     first, last = samples[0], samples[-1]
-    if isinstance(first, WheelSample) and isinstance(last, WheelSample):
-        left, right = last.left_rad - first.left_rad, last.right_rad - first.right_rad
-        return f"; turned left {left:+.2f} rad, right {right:+.2f} rad"
-    return ""
+    if isinstance(first, OdometrySample) and isinstance(last, OdometrySample):
+        moved = first.odom_from_base.inverse() @ last.odom_from_base
+        return (
+            f"; moved ahead {moved.x_m:+.2f} m, left {moved.y_m:+.2f} m, "
+            f"turned {math.degrees(moved.theta_rad):+.1f} deg"
+        )
+    turned = ", ".join(
+        f"{name} {end - start:+.2f} rad"
+        for name, start, end in zip(
+            joints_of(last), _angles_rad(first), _angles_rad(last), strict=True
+        )
+    )
+    anew = last.segment - first.segment
+    return f"; turned {turned}" + (f" (counting began anew {anew} times)" if anew else "")
+
+
+def _angles_rad(sample: DriveSample) -> tuple[float, ...]:
+    if isinstance(sample, WheelSample):
+        return sample.left_rad, sample.right_rad
+    return sample.angles_rad if isinstance(sample, JointSample) else ()
 
 
 def _print(lines: Iterator[str]) -> None:

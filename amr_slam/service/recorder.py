@@ -26,7 +26,7 @@ from amr_slam.recording import About, RecordedDevice, RecordingWriter
 from amr_slam.recording import Sample as Decoded
 from amr_slam.recording.messages import Entry, encode, encode_published
 from amr_slam.recording.ring import Kept, Ring
-from amr_slam.samples import WHEELS, Raw, RawBytes, Tap, Way, untapped
+from amr_slam.samples import WHEELS, Raw, RawBytes, Way, untapped
 from amr_slam.wire import PoseMessage, StatusMessage
 
 _log = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class Recorder:
             self._thread.start()
 
     @property
-    def tap(self) -> Tap:
+    def tap(self) -> Callable[[Raw], object]:
         """For the drivers."""
         return self._put if self._thread.is_alive() else untapped
 

@@ -7,7 +7,7 @@ one is made whenever the device is opened, and so it is here.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from amr_drivers import registry
 from amr_drivers.background import ScanDecoder
 from amr_slam.recording import Log, RecordedDevice, RecordingError
-from amr_slam.samples import Raw, RawBytes, RawFrame, Scan, Way, WheelSample
+from amr_slam.samples import CanFrame, DriveSample, Raw, RawBytes, RawFrame, Scan, Way
 
 _log = logging.getLogger(__name__)
 
@@ -25,8 +25,8 @@ _log = logging.getLogger(__name__)
 class WheelDecoder(Protocol):
     """Frames of one bus to wheel samples. Pure: the same calls give the same samples."""
 
-    def received(self, frame: RawFrame) -> WheelSample | None:
-        """Take in the next frame, whatever it is; the sample it completes."""
+    def received(self, frame: CanFrame) -> Sequence[DriveSample]:
+        """Take in the next frame, whatever it is; the samples that it completes."""
 
 
 def module_of(device: RecordedDevice) -> registry.ScannerModule | registry.OdometryModule:
@@ -103,7 +103,7 @@ def _files_in_place(device: RecordedDevice, fields: Iterable[str], settings: Any
 
 def _decoded(
     device: RecordedDevice, passed: Iterable[Raw], make: Callable[..., Any], settings: Any
-) -> list[Scan] | list[WheelSample]:
+) -> list[Scan] | list[DriveSample]:
     if device.kind == "scanner":
         return _scans(passed, lambda start_ns: make(device.name, settings, start_ns))
     return _wheels(passed, lambda start_ns: make(settings, start_ns))
@@ -126,9 +126,9 @@ def _scans(passed: Iterable[Raw], make: Callable[[int], ScanDecoder]) -> list[Sc
     return scans
 
 
-def _wheels(passed: Iterable[Raw], make: Callable[[int], WheelDecoder]) -> list[WheelSample]:
+def _wheels(passed: Iterable[Raw], make: Callable[[int], WheelDecoder]) -> list[DriveSample]:
     """Segments go on over a reopening, as the service counts them."""
-    samples: list[WheelSample] = []
+    samples: list[DriveSample] = []
     decoder: WheelDecoder | None = None
     first_segment, segment = 0, -1
     for raw in passed:
@@ -138,8 +138,7 @@ def _wheels(passed: Iterable[Raw], make: Callable[[int], WheelDecoder]) -> list[
             continue
         if decoder is None:
             decoder, first_segment = make(raw.stamp_ns), segment + 1
-        sample = decoder.received(raw)
-        if sample is not None:
+        for sample in decoder.received(raw):
             segment = first_segment + sample.segment
             samples.append(replace(sample, segment=segment))
     return samples

@@ -5,13 +5,15 @@ A plug-in names its module under ``amr_slam.scanners`` or ``amr_slam.odometry``:
     [project.entry-points."amr_slam.scanners"]
     acme_lidar = "acme_amr.lidar"
 
-The module has a frozen dataclass ``Settings`` (str, int, float, bool, Literal and further frozen
-dataclasses only: the configuration checks it generically) and ``open_scanner(name, settings, tap)``
-or ``open_odometry(settings, tap)``. For recordings of the devices' bytes and frames to be replayed
-it has ``scan_decoder(name, settings, start_ns)`` (:class:`amr_drivers.background.ScanDecoder`) or
-``wheel_decoder(settings, start_ns)`` (:class:`amr_drivers.decoding.WheelDecoder`) as well, and
-``FILES``, a tuple of the settings that are paths of files which decoding needs, if there are any:
-recordings take their contents along, and decoding finds them at other paths. A module is imported
+The module has a frozen dataclass ``Settings`` (str, int, float, bool, Literal, tuples of these and
+further frozen dataclasses only: the configuration checks it generically) and ``open_scanner(name,
+settings, tap)`` or ``open_odometry(settings, tap)``. For recordings of the devices' bytes and
+frames to be replayed it has ``scan_decoder(name, settings, start_ns)``
+(:class:`amr_drivers.background.ScanDecoder`) or ``wheel_decoder(settings, start_ns)``
+(:class:`amr_drivers.decoding.WheelDecoder`) as well, and ``FILES``, a tuple of the settings that
+are paths of files which decoding needs, if there are any: recordings take their contents along, and
+decoding finds them at other paths. An odometry's ``Settings`` may tell by ``joints`` what its
+samples hold, so that a ``[drive]`` made for others is refused at the start. A module is imported
 when its name is asked for, not before: nobody needs the libraries of a device that he does not
 have.
 """
@@ -23,7 +25,7 @@ import importlib
 from importlib.metadata import entry_points
 from typing import Any, Protocol, cast
 
-from amr_slam.samples import OdometrySource, Scanner, Tap
+from amr_slam.samples import FrameTap, OdometrySource, Scanner, Tap
 
 _SCANNERS = {
     "mock": "amr_drivers.mock.scanner",
@@ -34,6 +36,7 @@ _SCANNERS = {
 }
 _ODOMETRY = {
     "can": "amr_drivers.can_odometry.driver",
+    "cia402": "amr_drivers.can_odometry.cia402.driver",
     "mock": "amr_drivers.mock.odometry",
     "replay": "amr_drivers.replay.odometry",
 }
@@ -58,7 +61,7 @@ class OdometryModule(Protocol):
     @property
     def Settings(self) -> type[Any]: ...  # noqa: N802 - a class in the module
 
-    def open_odometry(self, settings: Any, tap: Tap = ...) -> OdometrySource:
+    def open_odometry(self, settings: Any, tap: FrameTap = ...) -> OdometrySource:
         """``tap`` is given all frames of the bus as they come, for recordings.
 
         Raises DriverError: not there; ValueError: settings that can never work.

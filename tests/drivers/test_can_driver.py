@@ -11,7 +11,10 @@ import can
 import pytest
 from paths import REPO
 
-from amr_drivers.can_odometry.driver import CanOdometry, Settings, _stamp_ns, open_odometry
+from amr_drivers.can_odometry.bus import _stamp_ns
+from amr_drivers.can_odometry.driver import Settings, open_odometry
+from amr_drivers.can_odometry.frames import Frame
+from amr_drivers.can_odometry.source import CanOdometry
 from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_drivers.emulators.wheels import EmulatedWheels
 from amr_drivers.errors import LinkLost
@@ -28,17 +31,17 @@ class Robot:
 
     def __init__(self, link: Path) -> None:
         self.adapter = EmulatedSlcan(link)
-        self.wheels = EmulatedWheels(SETTINGS.dbc, sequence_signal="Sequence")
+        self.wheels = EmulatedWheels(SETTINGS)
         self.drivers: list[CanOdometry] = []
         self.steps = 0
 
-    def frame(self) -> tuple[int, bytes]:
+    def frame(self) -> Frame:
         self.steps += 1
-        ((number, _, data),) = self.wheels.frames(0.1 * self.steps, -0.05 * self.steps)
-        return number, data
+        (frame,) = self.wheels.frames(0.1 * self.steps, -0.05 * self.steps)
+        return frame
 
     def step(self) -> None:
-        assert self.adapter.send(*self.frame())
+        assert self.adapter.send(self.frame())
 
 
 @pytest.fixture
@@ -72,6 +75,7 @@ def next_sample(driver: CanOdometry, robot: Robot) -> WheelSample:
         robot.step()
         sample = driver.read(0.1)
         if sample is not None:
+            assert isinstance(sample, WheelSample)
             return sample
     raise AssertionError("no sample")
 
@@ -173,11 +177,22 @@ def test_close_ends_a_waiting_read(robot: Robot) -> None:
 def test_frames_that_waited_are_not_sold_as_new(robot: Robot) -> None:
     driver = opened(robot)
     next_sample(driver, robot)
-    driver._back_ns -= 10**9  # as if the reading thread had been away for a second
+    driver._bus._back_ns -= 10**9  # as if the reading thread had been away for a second
     robot.step()
-    until(lambda: driver._bus.serialPortOrig.in_waiting > 0)  # type: ignore[attr-defined] # slcan's
+    until(lambda: driver._bus._bus.serialPortOrig.in_waiting > 0)  # type: ignore[attr-defined] # slcan's
     assert driver.read(0.1) is None
     driver.close()
+
+
+def send(bus: can.BusABC, frame: Frame) -> None:
+    bus.send(
+        can.Message(
+            arbitration_id=frame.identifier,
+            data=frame.data,
+            is_extended_id=frame.is_extended,
+            is_error_frame=frame.is_error,
+        )
+    )
 
 
 @pytest.fixture
@@ -191,16 +206,14 @@ def virtual() -> Iterator[tuple[can.BusABC, CanOdometry]]:
 
 def test_error_frames_are_no_data(virtual: tuple[can.BusABC, CanOdometry], robot: Robot) -> None:
     sender, driver = virtual
-    number, data = robot.frame()
-    sender.send(can.Message(arbitration_id=number, data=data, is_extended_id=False))
+    send(sender, robot.frame())
     assert driver.read(DEADLINE_S) is not None
     # The error class 0x200 has the id of the wheels' frame, 0x40 says bus-off.
     error = can.Message(arbitration_id=0x240, data=bytes(8), is_error_frame=True)
     sender.send(error)
     assert driver.read(0.05) is None
     assert driver.status() == (1, "bus-off")
-    number, data = robot.frame()
-    sender.send(can.Message(arbitration_id=number, data=data, is_extended_id=False))
+    send(sender, robot.frame())
     assert driver.read(DEADLINE_S) is not None
     assert driver.status()[1] is None
 
@@ -220,3 +233,34 @@ def test_a_frame_that_waited_in_the_kernel_keeps_its_stamp() -> None:
 def test_an_interface_that_does_not_exist_is_a_mistake_in_the_settings() -> None:
     with pytest.raises(ValueError, match="carrier_pigeon"):
         open_odometry(replace(SETTINGS, interface="carrier_pigeon"))
+
+
+@pytest.mark.parametrize("code", [100, 19])  # ENETDOWN, ENODEV: ip link set down, ip link del
+def test_an_interface_that_goes_down_is_a_lost_link(
+    virtual: tuple[can.BusABC, CanOdometry], code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, driver = virtual
+
+    def down(timeout: float | None) -> None:
+        raise can.CanOperationError("Network is down", code)
+
+    monkeypatch.setattr(driver._bus._bus, "_recv_internal", down)
+    with pytest.raises(LinkLost, match="Network is down"):
+        driver.read(DEADLINE_S)
+
+
+def test_socketcan_filters_in_the_kernel(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What cannot be opened here is at least asked for as the kernel wants it."""
+    asked: list[dict[str, object]] = []
+
+    def bus(**options: object) -> can.BusABC:
+        asked.append(options)
+        raise OSError(97, "Address family not supported by protocol")
+
+    monkeypatch.setattr(can, "Bus", bus)
+    with pytest.raises(LinkLost, match=r"socketcan can0: .*Address family"):
+        open_odometry(replace(SETTINGS, interface="socketcan", channel="can0"))
+    assert asked[0]["can_filters"] == [{"can_id": 0x200, "can_mask": 0x7FF, "extended": False}]
+    assert asked[0]["channel"] == "can0"

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,10 +11,12 @@ from hypothesis import strategies as st
 from paths import REPO
 
 from amr_drivers.can_odometry.counting import Limits, WheelCounter
-from amr_drivers.can_odometry.frames import FrameDecoder, Signals, WheelSettings
+from amr_drivers.can_odometry.dbc import Signals
+from amr_drivers.can_odometry.dbc_decoder import DbcDecoder
+from amr_drivers.can_odometry.frames import Frame
+from amr_drivers.can_odometry.settings import Settings, WheelSettings
 from amr_drivers.emulators.wheels import EmulatedWheels
-from amr_drivers.errors import BadTelegram
-from amr_slam.samples import WheelSample
+from amr_slam.samples import JointSample, WheelSample
 
 DBC = str(REPO / "config/wheels.dbc")
 LEFT, RIGHT = WheelSettings(signal="LeftCount"), WheelSettings(signal="RightCount")
@@ -31,19 +34,34 @@ BO_ 2147484034 RightNode: 4 Node
 """
 
 
-def decoder(left: WheelSettings = LEFT, right: WheelSettings = RIGHT) -> FrameDecoder:
-    return FrameDecoder(Signals(DBC, left, right, "Sequence"), Limits())
+def robot(left: WheelSettings = LEFT, right: WheelSettings = RIGHT) -> Settings:
+    return Settings(dbc=DBC, left=left, right=right, sequence_signal="Sequence")
+
+
+def decoder(left: WheelSettings = LEFT, right: WheelSettings = RIGHT) -> DbcDecoder:
+    return DbcDecoder(robot(left, right), 0)
+
+
+def counts(stamp_ns: int, data: bytes, identifier: int = 0x200) -> Frame:
+    return Frame(stamp_ns=stamp_ns, identifier=identifier, data=data)
+
+
+Got = list[WheelSample | JointSample]
+
+
+def fed(frames: DbcDecoder, stamp_ns: int, frame: Frame) -> Got:
+    return frames.received(replace(frame, stamp_ns=stamp_ns))
 
 
 def test_example_dbc_decodes_bytes_worked_out_by_hand() -> None:
     # Left 100, right 200 turns of the wheel in counts, packed in 28 bits each, sequence 7.
     packed = 100 * 4096 | 200 * 4096 << 28 | 7 << 56
-    frames = FrameDecoder(Signals(DBC, LEFT, RIGHT, "Sequence"), Limits())
-    first = frames.feed(0, 0x200, packed.to_bytes(8, "little"), is_extended=False)
-    assert first == WheelSample(stamp_ns=0, left_rad=0.0, right_rad=0.0)
+    frames = decoder()
+    first = frames.received(counts(0, packed.to_bytes(8, "little")))
+    assert first == [WheelSample(stamp_ns=0, left_rad=0.0, right_rad=0.0)]
     packed = (100 * 4096 + 41) | (200 * 4096 - 82) << 28 | 8 << 56
-    second = frames.feed(PERIOD_NS, 0x200, packed.to_bytes(8, "little"), is_extended=False)
-    assert second is not None
+    (second,) = frames.received(counts(PERIOD_NS, packed.to_bytes(8, "little")))
+    assert isinstance(second, WheelSample)
     assert second.left_rad == pytest.approx(41 * TURN_PER_COUNT)
     assert second.right_rad == pytest.approx(-82 * TURN_PER_COUNT)
     assert second.segment == 0
@@ -105,7 +123,7 @@ def test_a_gap_in_which_a_small_counter_could_alias_is_not_integrated() -> None:
 @settings(derandomize=True, deadline=None, max_examples=100)
 @given(st.data())
 def test_duplicates_losses_and_swaps_never_falsify_the_angle(data: st.DataObject) -> None:
-    wheels = EmulatedWheels(DBC, LEFT, RIGHT, "Sequence")
+    wheels = EmulatedWheels(robot())
     sent = [(n, wheels.frames(0.1 * n, -0.2 * n)[0]) for n in range(30)]
     order = [n for n in range(30) if n < 2 or data.draw(st.integers(0, 9)) < 9]  # losses
     assume(len(order) > 5)
@@ -113,14 +131,14 @@ def test_duplicates_losses_and_swaps_never_falsify_the_angle(data: st.DataObject
         order[at], order[at + 1] = order[at + 1], order[at]
     for at in data.draw(st.lists(st.integers(0, len(order) - 1), max_size=4)):
         order.insert(at, order[at])
-    frames, samples = decoder(), []
+    frames = decoder()
+    samples: list[tuple[int, WheelSample]] = []
     for arrival, n in enumerate(order):
-        number, extended, payload = sent[n][1]
-        sample = frames.feed(arrival * PERIOD_NS, number, payload, is_extended=extended)
-        if sample is not None:
+        for sample in fed(frames, arrival * PERIOD_NS, sent[n][1]):
+            assert isinstance(sample, WheelSample)
             samples.append((n, sample))
     assert [n for n, _ in samples] == sorted({n for n, _ in samples}), "a step taken twice"
-    assert len(samples) + frames.dropped == len(order)
+    assert len(samples) + frames.status(0)[0] == len(order)
     for n, sample in samples:
         if sample.segment == 0:
             assert sample.left_rad == pytest.approx(0.1 * n, abs=TURN_PER_COUNT)
@@ -128,16 +146,62 @@ def test_duplicates_losses_and_swaps_never_falsify_the_angle(data: st.DataObject
     assert all(a.stamp_ns < b.stamp_ns for (_, a), (_, b) in pairwise(samples))
 
 
+@settings(derandomize=True, deadline=None, max_examples=100)
+@given(
+    modulus=st.sampled_from([1000, 65536, 2**28, 100_003]),
+    order=st.permutations(range(12)),
+    steps=st.lists(st.integers(-20, 20), min_size=12, max_size=12),
+)
+def test_any_order_of_stamped_frames_gives_the_same_sum(
+    modulus: int, order: list[int], steps: list[int]
+) -> None:
+    totals = [sum(steps[: n + 1]) for n in range(12)]
+    left = WheelSettings(signal="LeftCount", modulus_counts=modulus)
+    frames = DbcDecoder(
+        Settings(dbc=DBC, left=left, limits=Limits(max_gap_s=5.0, max_speed_radps=2.0)), 0
+    )
+    samples: Got = []
+    for n in order:
+        packed = totals[n] % modulus | (totals[n] % 2**28) << 28
+        samples += frames.received(counts(n * PERIOD_NS, packed.to_bytes(8, "little")))
+    newest, first = samples[-1], order[0]
+    assert isinstance(newest, WheelSample)
+    assert newest.stamp_ns == 11 * PERIOD_NS
+    moved_rad = (totals[11] - totals[first]) * TURN_PER_COUNT
+    assert newest.left_rad == pytest.approx(moved_rad, abs=1e-9)
+    assert newest.right_rad == pytest.approx(moved_rad, abs=1e-9)
+
+
+@pytest.mark.parametrize("periods", [50, 200])  # the sequence seems to fall, and to jump ahead
+def test_a_node_that_restarts_begins_a_segment(periods: int) -> None:
+    wheels, frames = EmulatedWheels(robot()), decoder()
+    samples: list[WheelSample] = []
+    for n in range(2 * periods):
+        if n == periods:
+            before = samples[-1]
+            wheels.restart(0.1 * n, 0.05 * n)
+        (frame,) = wheels.frames(0.1 * n, 0.05 * n)
+        for sample in fed(frames, n * PERIOD_NS, frame):
+            assert isinstance(sample, WheelSample)
+            samples.append(sample)
+    assert len(samples) == 2 * periods
+    assert [sample.segment for sample in samples] == periods * [0] + periods * [2]
+    # Nothing is taken for a motion at the restart, and all is afterwards.
+    assert samples[periods].left_rad == before.left_rad
+    moved_rad = samples[-1].left_rad - samples[periods].left_rad
+    assert moved_rad == pytest.approx(0.1 * (periods - 1), abs=2 * TURN_PER_COUNT)
+
+
 def test_sign_gear_and_counts_per_revolution() -> None:
     left = WheelSettings(signal="LeftCount", sign=-1, gear_ratio=25.0, counts_per_revolution=2000)
     right = WheelSettings(signal="RightCount", modulus_counts=100_003)
-    wheels, frames = EmulatedWheels(DBC, left, right), decoder(left, right)
-    assert wheels.frames(1.0, 0.0)[0][2][:4] != wheels.frames(-1.0, 0.0)[0][2][:4]
-    wheels = EmulatedWheels(DBC, left, right, "Sequence")
+    wheels, frames = EmulatedWheels(robot(left, right)), decoder(left, right)
+    assert wheels.frames(1.0, 0.0)[0].data[:4] != wheels.frames(-1.0, 0.0)[0].data[:4]
+    wheels = EmulatedWheels(robot(left, right))
     for n in range(200):
-        ((number, extended, data),) = wheels.frames(0.5 * n, 0.3 * n)
-        sample = frames.feed(n * PERIOD_NS, number, data, is_extended=extended)
-    assert sample is not None
+        (frame,) = wheels.frames(0.5 * n, 0.3 * n)
+        (sample,) = fed(frames, n * PERIOD_NS, frame)
+    assert isinstance(sample, WheelSample)
     assert sample.segment == 0
     assert sample.left_rad == pytest.approx(0.5 * 199, abs=1e-3)
     assert sample.right_rad == pytest.approx(0.3 * 199, abs=1e-3 + TURN_PER_COUNT)
@@ -148,21 +212,21 @@ def test_wheels_in_two_frames_are_brought_to_one_instant(tmp_path: Path) -> None
     dbc.write_text(TWO_FRAMES)
     left = WheelSettings(message="LeftNode", signal="Position")
     right = WheelSettings(message="RightNode", signal="Position", sign=-1)
-    wheels = EmulatedWheels(str(dbc), left, right)
-    frames = FrameDecoder(Signals(str(dbc), left, right), Limits())
-    assert frames.identifiers == [(385, False), (386, True)]
-    samples = []
+    told = Settings(dbc=str(dbc), left=left, right=right)
+    wheels, frames = EmulatedWheels(told), DbcDecoder(told, 0)
+    assert [(f.identifier, f.is_extended) for f in frames.filters] == [(385, False), (386, True)]
+    samples: list[WheelSample] = []
     for n in range(40):
         left_ns, right_ns = n * PERIOD_NS, n * PERIOD_NS + 5 * MS
         if n == 10:
             continue  # both lost once
         for stamp_ns, index in ((left_ns, 0), (right_ns, 1)):
             angle_rad = 5e-9 * stamp_ns  # 5 rad/s
-            number, extended, data = wheels.frames(angle_rad, angle_rad)[index]
+            frame = wheels.frames(angle_rad, angle_rad)[index]
             if n == 20 and index == 1:
                 continue
-            sample = frames.feed(stamp_ns, number, data, is_extended=extended)
-            if sample is not None:
+            for sample in fed(frames, stamp_ns, frame):
+                assert isinstance(sample, WheelSample)
                 samples.append(sample)
     assert len(samples) >= 36
     for sample in samples[1:]:
@@ -173,17 +237,21 @@ def test_wheels_in_two_frames_are_brought_to_one_instant(tmp_path: Path) -> None
             5e-9 * sample.stamp_ns - 0.025, abs=2 * TURN_PER_COUNT
         )
     # The same id as a standard and as an extended frame are two different frames.
-    assert frames.feed(10**12, 385, bytes(4), is_extended=True) is None
+    foreign = Frame(stamp_ns=10**12, identifier=385, data=bytes(4), is_extended=True)
+    assert frames.received(foreign) == []
 
 
-def test_frames_not_as_the_dbc_says_are_refused() -> None:
+def test_frames_not_as_the_dbc_says_are_refused_and_named() -> None:
     frames = decoder()
-    with pytest.raises(BadTelegram, match="has 2 bytes, the DBC file says 8"):
-        frames.feed(0, 0x200, bytes(2), is_extended=False)
+    assert frames.received(counts(0, bytes(2))) == []
+    assert frames.status(0) == (1, "WheelEncoders has 2 bytes, the DBC file says 8")
     limited = decoder(left=WheelSettings(signal="LeftCount", modulus_counts=1000))
-    with pytest.raises(BadTelegram, match="LeftCount is 1000, but wraps at 1000"):
-        limited.feed(0, 0x200, (1000).to_bytes(8, "little"), is_extended=False)
-    assert frames.feed(0, 0x201, bytes(8), is_extended=False) is None
+    limited.received(counts(0, (1000).to_bytes(8, "little")))
+    assert limited.status(0) == (1, "LeftCount is 1000, but wraps at 1000")
+    limited.received(counts(1, (999 | 1 << 56).to_bytes(8, "little")))
+    assert limited.status(1) == (1, None)
+    assert frames.received(counts(0, bytes(8), identifier=0x201)) == []
+    assert frames.status(0)[0] == 1
 
 
 @pytest.mark.parametrize(
@@ -196,13 +264,13 @@ def test_frames_not_as_the_dbc_says_are_refused() -> None:
 )
 def test_settings_that_do_not_fit_the_dbc_are_named(wheel: WheelSettings, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Signals(DBC, wheel, RIGHT)
+        decoder(wheel)
 
 
 def test_a_dbc_that_is_absent_or_none_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"absent\.dbc: No such file"):
-        Signals(str(tmp_path / "absent.dbc"), LEFT, RIGHT)
+        Signals(str(tmp_path / "absent.dbc"), robot().signals)
     noise = tmp_path / "noise.dbc"
     noise.write_bytes(bytes(range(256)))
     with pytest.raises(ValueError, match=r"noise\.dbc: no DBC file"):
-        Signals(str(noise), LEFT, RIGHT)
+        Signals(str(noise), robot().signals)

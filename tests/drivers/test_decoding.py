@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -30,7 +31,16 @@ from amr_slam.config import (
 )
 from amr_slam.recording import Log, RecordedDevice, RecordingError, RecordingWriter, read_log
 from amr_slam.recording.values import About, Sample
-from amr_slam.samples import OdometrySample, Raw, RawBytes, RawFrame, Scan, Way, WheelSample
+from amr_slam.samples import (
+    CanFrame,
+    OdometrySample,
+    Raw,
+    RawBytes,
+    RawFrame,
+    Scan,
+    Way,
+    WheelSample,
+)
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 
 DEADLINE_S = 60.0
@@ -45,7 +55,7 @@ class Recorded:
     def __init__(self, folder: Path) -> None:
         self.scanner = EmulatedS300(folder / "front")
         self.can = EmulatedSlcan(folder / "can")
-        self.wheels = EmulatedWheels(str(DBC), sequence_signal="Sequence")
+        self.wheels = EmulatedWheels(can_driver.Settings(dbc=str(DBC), sequence_signal="Sequence"))
         self.raw: list[Raw] = []
         self.decoded: list[Sample] = []
         self._lock = threading.Lock()
@@ -108,13 +118,13 @@ class Recorded:
     def drive(self, turns: int) -> None:
         """So many scans and wheel samples come through, each before the next one is sent."""
         for _ in range(turns):
-            self._until_more(Scan, lambda: self.scanner.send(RANGES + 0.01 * self._turned))
+            self._until_more(Scan, lambda: self.scanner.measure(RANGES + 0.01 * self._turned))
             self._until_more(WheelSample, self._turn_wheels)
 
     def _turn_wheels(self) -> None:
         self._turned += 1
-        for number, _, data in self.wheels.frames(0.1 * self._turned, -0.05 * self._turned):
-            self.can.send(number, data)
+        for frame in self.wheels.frames(0.1 * self._turned, -0.05 * self._turned):
+            self.can.send(frame)
 
     def _until_more(self, kind: type[Scan | WheelSample], send: Callable[[], object]) -> None:
         before = self.count(kind)
@@ -156,14 +166,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     folder = tmp_path_factory.mktemp("lines")
     with recording(folder) as live:
         live.drive(4)
-        live.scanner.send_garbage(300, seed=1)
+        live.scanner.send_bytes(random.Random(1).randbytes(300))
         live.drive(2)
         live.scanner.cut_next(500)
-        live.scanner.send(RANGES)
+        live.scanner.measure(RANGES)
         live.can.send_bytes(b"t1")
-        live.can.send(0x7FF, b"foreign")
+        live.can.send(CanFrame(stamp_ns=0, identifier=0x7FF, data=b"foreign"))
         live.drive(3)
-        live.scanner.send(RANGES, live.scanner.scan_number)  # frozen: no scan comes of it
+        live.scanner.frozen = True  # no scan comes of it
+        live.scanner.measure(RANGES)
+        live.scanner.frozen = False
         live.can.unplug()
         live.scanner.unplug()
         for thread in live.threads:

@@ -11,7 +11,7 @@ import pytest
 from paths import REPO
 
 from amr_drivers.can_odometry import driver as can_driver
-from amr_drivers.can_odometry.frames import WheelSettings
+from amr_drivers.can_odometry.settings import WheelSettings
 from amr_drivers.emulators.robot import EmulatedRobot, RobotModel, RobotProcess
 from amr_drivers.emulators.robot.process import _Commands
 from amr_drivers.errors import LinkLost
@@ -67,6 +67,7 @@ def test_real_drivers_measure_what_the_truth_says(tmp_path: Path, robot: RobotPr
 
     def listen() -> bool:
         while (sample := wheels.read(0.0)) is not None:
+            assert isinstance(sample, WheelSample)
             counts.append(sample)
         read = (scanner.read(0.0) for scanner in scanners.values())
         scans.extend(scan for scan in read if scan is not None)

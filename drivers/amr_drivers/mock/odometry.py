@@ -10,7 +10,7 @@ from annotated_types import Ge
 
 from amr_drivers.mock.stage import STAGES
 from amr_drivers.playing import Hold, deadline_ns
-from amr_slam.samples import DeviceInfo, Tap, WheelSample, untapped
+from amr_slam.samples import DeviceInfo, FrameTap, WheelSample, untapped
 from amr_slam.simulation import WHEEL_PERIOD_NS
 
 
@@ -21,8 +21,13 @@ class Settings:
     seed: Annotated[int, Ge(0)] = 1
     """Of the laboratory. Devices with the same seed are on the same robot."""
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """What samples tell: the ``[drive]`` must be made for it."""
+        return ("left", "right")
 
-def open_odometry(settings: Settings, _tap: Tap = untapped) -> MockOdometry:
+
+def open_odometry(settings: Settings, _tap: FrameTap = untapped) -> MockOdometry:
     """Listen to the simulated robot's wheels; the robot is made when this is its first device."""
     return MockOdometry(settings)
 

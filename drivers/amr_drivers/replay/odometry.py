@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from amr_drivers.replay.player import Track
-from amr_slam.samples import DeviceInfo, OdometrySample, Scan, Tap, WheelSample, untapped
+from amr_slam.samples import DeviceInfo, DriveSample, FrameTap, Scan, untapped
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -16,7 +16,7 @@ class Settings:
     """Path of the recording: whatever ``amr-slam replay`` takes."""
 
 
-def open_odometry(settings: Settings, _tap: Tap = untapped) -> ReplayOdometry:
+def open_odometry(settings: Settings, _tap: FrameTap = untapped) -> ReplayOdometry:
     """Start the recording, or join those who play it. Raises ValueError: damaged, no wheels."""
     return ReplayOdometry(settings)
 
@@ -28,7 +28,7 @@ class ReplayOdometry:
         self._log = settings.log
         self._track = Track(settings.log, None)
 
-    def read(self, timeout_s: float) -> WheelSample | OdometrySample | None:
+    def read(self, timeout_s: float) -> DriveSample | None:
         sample = self._track.read(timeout_s)
         return None if isinstance(sample, Scan) else sample
 

@@ -12,6 +12,7 @@ from typing import Annotated, Self
 
 from annotated_types import Ge, Gt, Interval
 
+from amr_drivers.can_odometry.settings import Settings
 from amr_drivers.emulators.s300 import EmulatedS300, S300Model
 from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_drivers.emulators.wheels import EmulatedWheels
@@ -87,7 +88,7 @@ class EmulatedRobot:
         """Raises ValueError for a DBC file without the wheels' signals, OSError when the ports
         cannot be made."""
         self._robot = (model or RobotModel()).simulated(time.monotonic_ns())
-        self._wheels = EmulatedWheels(dbc, sequence_signal=SEQUENCE_SIGNAL)
+        self._wheels = EmulatedWheels(Settings(dbc=dbc, sequence_signal=SEQUENCE_SIGNAL))
         self._paused_ns = 0
         directory.mkdir(parents=True, exist_ok=True)
         with ExitStack() as stack:
@@ -113,8 +114,8 @@ class EmulatedRobot:
         stamp_ns = self._wait_for_end()
         wheels = samples[-1]
         if isinstance(wheels, WheelSample):
-            for number, is_extended, data in self._wheels.frames(wheels.left_rad, wheels.right_rad):
-                self._can.send(number, data, is_extended=is_extended)
+            for frame in self._wheels.frames(wheels.left_rad, wheels.right_rad):
+                self._can.send(frame)
         return stamp_ns, self._robot.map_from_base
 
     def _wait_for_end(self) -> int:

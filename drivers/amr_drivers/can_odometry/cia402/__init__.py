@@ -1,0 +1,1 @@
+"""Drives that speak CANopen by the CiA 402 profile."""
