@@ -23,7 +23,8 @@ from amr_slam.config.checking import ConfigError, checked, located, read_toml, s
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
-from amr_slam.localizer import LocalizerParams, Mounting
+from amr_slam.localizer import LocalizerParams
+from amr_slam.mounting import Mask, Mounting
 from amr_slam.odometry import DifferentialDrive, Odometry, PoseOdometry
 from amr_slam.params import Preset, SlamParams, preset
 from amr_slam.wire import ZenohSettings
@@ -78,11 +79,15 @@ class MountingSettings:
     """Direction of its middle beam, counter-clockwise from straight ahead."""
     upside_down: bool = False
     """Hangs head down: its beams run clockwise, seen from above."""
+    masks: tuple[Mask, ...] = ()
+    """Sectors in which it sees the robot itself, as ``{ from_deg = -135.0, to_deg = -120.0 }``:
+    bearings counter-clockwise from ``theta_deg``, seen from above; with ``closer_than_m = 0.4``
+    only nearer readings are dropped."""
 
     @property
     def mounting(self) -> Mounting:
         pose = Pose2(self.x_m, self.y_m, math.radians(self.theta_deg))
-        return Mounting(base_from_lidar=pose, upside_down=self.upside_down)
+        return Mounting(base_from_lidar=pose, upside_down=self.upside_down, masks=self.masks)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
