@@ -33,7 +33,7 @@ must, or nothing is said to fit."""
 _LEAD: Final = 0.25
 """By so much more must agree without the fault than with it."""
 _LEAD_BY_MOTION: Final = 0.1
-"""The same where the scan fits elsewhere than the wheels lead, and there is a way that explains it."""
+"""The same where the scan fits not where the wheels lead, but where a fault would lead it."""
 _NEAR: Final = np.array([0.7, 0.35])
 """m and rad: how far a pose may be from the expected one and still be it."""
 _APART: Final = np.array([0.3, 0.2])

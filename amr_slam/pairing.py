@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
 
 from amr_slam.arrangement import View
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
@@ -17,6 +20,9 @@ _LONGEST_PERIOD_NS: Final = 2_000_000_000
 """The slowest scans that are used come at 0.5 Hz; what a period is taken for before two came."""
 _MISSED_PERIODS: Final = 2.5
 _LEAST_PATIENCE_NS: Final = 1_000_000_000
+_STEP_S: Final = 0.02
+"""Wheels are read as often."""
+_MOST_STEPS: Final = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -101,9 +107,8 @@ class Pairing:
             if stamp_ns - scan.mid_stamp_ns > self._period_ns[scan.scanner]:
                 continue
             to_scan = wheels.motion_between(stamp_ns, scan.mid_stamp_ns)
-            first = wheels.motion_between(scan.mid_stamp_ns, scan.stamp_ns)
-            last = wheels.motion_between(scan.mid_stamp_ns, end_ns(scan))
-            if to_scan is None or first is None or last is None:
+            sweep = _sweep(scan, wheels)
+            if to_scan is None or sweep is None:
                 continue
             mounting = self._mountings[scan.scanner]
             cloud = cloud_from_scan(
@@ -111,7 +116,7 @@ class Pairing:
                 mounting.base_from_lidar,
                 self._params,
                 upside_down=mounting.upside_down,
-                sweep=(first.delta, last.delta) if scan.sweep_s > 0.0 else None,
+                sweep=sweep,
             )
             parts.append((cloud, to_scan.delta))
             views.append(
@@ -124,6 +129,16 @@ class Pairing:
             )
         late = len(scans) - len(parts)
         return Merged(cloud=merge(parts), views=tuple(views)) if parts else None, late
+
+
+def _sweep(scan: Scan, wheels: PoseFilter) -> list[Pose2] | None:
+    """Where the base stood during a sweep, in the frame of its middle; a robot that speeds up does
+    not go evenly. None where the wheels no longer know, or not yet."""
+    steps = min(max(1, math.ceil(scan.sweep_s / _STEP_S)), _MOST_STEPS)
+    instants = np.linspace(scan.stamp_ns, end_ns(scan), steps + 1).round()
+    motions = [wheels.motion_between(scan.mid_stamp_ns, int(instant)) for instant in instants]
+    poses = [motion.delta for motion in motions if motion is not None]
+    return poses if len(poses) == len(motions) else None
 
 
 def end_ns(scan: Scan) -> int:

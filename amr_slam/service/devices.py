@@ -22,12 +22,15 @@ from amr_slam.samples import (
     Link,
     OdometrySample,
     OdometrySource,
+    RawBytes,
     Scan,
     Scanner,
     Tap,
+    Way,
     WheelSample,
     untapped,
 )
+from amr_slam.service.line_quality import LineQuality
 
 _log = logging.getLogger(__name__)
 _SampleT = TypeVar("_SampleT", Scan, WheelSample | OdometrySample)
@@ -84,6 +87,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
         self._seen = _Seen()
         self._received: deque[int] = deque(maxlen=_RATE_SAMPLES)
         self._errors_before = 0
+        self._quality = LineQuality()
         self._lost = False
         self._stopping = threading.Event()
         # A daemon: a driver that hangs must not keep the program from ending.
@@ -161,6 +165,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
             wait_s = min(2.0 * wait_s, self._reconnect_max_s)
 
     def _serve_one_connection(self) -> None:
+        self._quality.restart()
         try:
             source = self._open()
         except DriverError:
@@ -185,6 +190,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
                     self._sink(selected)
 
     def _note_sample(self, now_ns: int) -> None:
+        self._quality.sample_came()
         self._received.append(now_ns)
         span_s = 1e-9 * (now_ns - self._received[0])
         self._seen = replace(
@@ -199,6 +205,8 @@ class DeviceThread(ABC, Generic[_SampleT]):
 
     def _note_status(self, source: Scanner | OdometrySource) -> None:
         errors, detail = source.status()
+        complaint = self._quality.complaint(time.monotonic_ns(), errors)
+        detail = detail or complaint  # the driver knows its device better
         self._seen = replace(
             self._seen, errors=self._errors_before + errors, detail=detail, info=source.info()
         )
@@ -227,7 +235,7 @@ class ScannerThread(DeviceThread[Scan]):
         tap: Tap = untapped,
     ) -> None:
         super().__init__(settings.name, sink, reconnect_max_s, _SCANS_STALE_S)
-        self._tap: Tap = tap
+        self._record: Tap = tap
         self._settings = settings
         self._thinning = Thinning(settings.poll_period_s)
 
@@ -235,6 +243,11 @@ class ScannerThread(DeviceThread[Scan]):
         module = registry.scanner_module(self._settings.driver)
         self._scanner = module.open_scanner(self._settings.name, self._settings.options, self._tap)
         return self._scanner
+
+    def _tap(self, raw: RawBytes) -> None:
+        if raw.way is Way.RECEIVED:
+            self._quality.bytes_came(len(raw.data), raw.stamp_ns)
+        self._record(raw)
 
     def _read(self) -> Scan | None:
         return self._scanner.read(_READ_TIMEOUT_S)

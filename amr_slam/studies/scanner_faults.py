@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.engine import SlamEngine
+from amr_slam.engine import Mode, SlamEngine
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Localizer, LocalizerParams
@@ -28,17 +28,14 @@ from amr_slam.simulation import (
     SimulatedRobot,
     Tour,
     World,
-    blocked,
     hall,
     laboratory,
     mapping_poses,
-    moved_furniture,
     odd,
     offices,
     opposite_scanners,
     plan_tour,
 )
-from amr_slam.studies.report import Effort, Section, Table
 from amr_slam.studies.scenes import Scene
 
 WORLDS: Final[dict[str, Callable[[int], World]]] = {
@@ -140,10 +137,6 @@ class Moment:
     inspected: str | None
     """The fault that this scan alone would name."""
 
-    @property
-    def error_m(self) -> float:
-        return self.said.map_from_base.distance_to(self.truth)
-
 
 class Run:
     """One robot in a known world; time passes in :meth:`periods`."""
@@ -157,12 +150,14 @@ class Run:
         *,
         located: bool,
         seed: int,
+        mapping: bool = False,
         people: int = 0,
         beside: Disturb | None = None,
         now: World | None = None,
     ) -> None:
         """``located``: the localizer is told where it begins. ``now``: the world as it has become
-        since it was mapped. ``beside``: what else happens to each scan."""
+        since it was mapped. ``beside``: what else happens to each scan. ``mapping``: a new map is
+        made, ``known`` is not used."""
         pair = PAIR if fault is None else fault.pair
         turn = Pose2(0.0, 0.0, math.radians(180.0 if fault is None else fault.turn_deg))
         twins = [
@@ -182,15 +177,17 @@ class Run:
         self._follower = PathFollower(tour.path_in_map_m)
         self._names = {m.name for m in pair}
         params = SlamParams()
-        self._engine = SlamEngine(params, known, "localization")
-        begin = (tour.world_from_map, np.diag([1e-4, 1e-4, 1e-5])) if located else None
+        self._mapping = mapping
+        mode: Mode = "mapping" if mapping else "localization"
+        self.engine = SlamEngine(params, PointMap(params.map) if mapping else known, mode)
+        begin = (tour.world_from_map, np.diag([1e-4, 1e-4, 1e-5]))
         self.localizer = Localizer(
             LocalizerParams(), FilterParams(), params.clouds, _DRIVE,
             {m.name: Mounting(base_from_lidar=m.base_from_lidar) for m in pair},
-            "localization", begin,
+            mode, begin if located and not mapping else None,
         )  # fmt: skip
         self.worst_m = 0.0
-        """Worst true error of a pose that was offered as localized."""
+        """Worst true error of a pose that was offered for driving."""
 
     def begin_fault(self) -> None:
         assert self._fault is not None
@@ -212,13 +209,17 @@ class Run:
                 self._judge()
             said = self.localizer.estimate(self.robot.stamp_ns)
             assert said is not None
-            yield Moment(said=said, truth=self.robot.world_from_base, inspected=inspected)
+            yield Moment(said=said, truth=self.truth, inspected=inspected)
+
+    @property
+    def truth(self) -> Pose2:
+        """Where the robot is, in the frame of the map."""
+        return self.robot.map_from_base if self._mapping else self.robot.world_from_base
 
     def _judge(self) -> None:
         said = self.localizer.estimate(self.robot.stamp_ns)
-        if said is not None and said.state is State.LOCALIZED:
-            error_m = said.map_from_base.distance_to(self.robot.world_from_base)
-            self.worst_m = max(self.worst_m, error_m)
+        if said is not None and said.state in {State.LOCALIZED, State.MAPPING}:
+            self.worst_m = max(self.worst_m, said.map_from_base.distance_to(self.truth))
 
     def _take(self, sample: Scan | WheelSample) -> str | None:
         """The fault that a scan alone names, where one was registered now."""
@@ -228,7 +229,7 @@ class Run:
         request = self.localizer.take_request()
         if request is None:
             return None
-        result = self._engine.update(request)
+        result = self.engine.update(request)
         self.localizer.handle(result)
         return result.inspection.fault
 
@@ -256,10 +257,14 @@ class Found:
     """Scan periods until it was named; None: never."""
     named: str
     """What the fault text said."""
+    right: bool
+    """It named this fault."""
     worst_m: float
-    """Of poses offered as localized while it lasted."""
+    """Of poses offered for driving while it lasted."""
     back_after: int | None
-    """Scan periods from the repair to localized again without a fault."""
+    """Scan periods from the repair until localized without a fault; None: not within the drive."""
+    scans: int
+    """Mapping: scans in the map when the fault was named."""
 
 
 def scene(kind: str, seed: int) -> tuple[World, PointMap, Tour]:
@@ -275,24 +280,65 @@ def find(
     *,
     at_start: bool,
     seed: int,
+    mapping: bool = False,
     periods: int = 12,
 ) -> Found:
-    """One drive with one fault."""
-    run = Run(*known, fault, located=not at_start, seed=seed)
+    """One drive with one fault: from the start, or from the third scan of a robot that is located;
+    repaired after ``periods``."""
+    run = Run(*known, fault, located=not at_start, mapping=mapping, seed=seed)
     if not at_start:
         for _ in run.periods(DRIVING):
             pass
     run.worst_m = 0.0
     run.begin_fault()
-    after, named = None, ""
+    after, named, scans = None, "", 0
     for number, moment in enumerate(run.periods(periods), 1):
-        text = moment.said.fault or ""
-        if after is None and ("scanner" in text or "swapped" in text):
-            after, named = number, text
+        told = [part for part in (moment.said.fault or "").split("; ") if _tells(part)]
+        if told and after is None:
+            after, named, scans = number, told[0], len(run.engine.map.path)
     worst_m = run.worst_m
     run.repair()
     back = None
-    for number, moment in enumerate(run.periods(periods), 1):
-        healthy = moment.said.state is State.LOCALIZED and not moment.said.fault
-        back = number if healthy and back is None else back
-    return Found(after=after, named=named, worst_m=worst_m, back_after=back)
+    for number, moment in enumerate(run.periods(0 if mapping else periods), 1):
+        if moment.said.state is State.LOCALIZED and not moment.said.fault:
+            back = number
+            break
+    return Found(
+        after=after, named=named, right=fault.word in named, worst_m=worst_m, back_after=back,
+        scans=scans if after is not None else len(run.engine.map.path),
+    )  # fmt: skip
+
+
+def _tells(part: str) -> bool:
+    return part.startswith("scanner configuration") or " scanner " in part
+
+
+def false_alarms(run: Run, periods: int) -> tuple[int, int, int]:
+    """(registered scans at most, scans that alone named a fault, periods in which one was told) of
+    a drive on which no scanner has a fault."""
+    alone = told = 0
+    for moment in run.periods(periods):
+        alone += moment.inspected is not None
+        told += any(_tells(part) for part in (moment.said.fault or "").split("; "))
+    return periods, alone, told
+
+
+def clean(kind: str, seed: int, disturbed: str, *, located: bool, scanners: int) -> Run:
+    """A drive without a fault, disturbed by ``people``, ``furniture`` (half of it moved),
+    ``blocked`` (40 % of the beams) or ``everything``."""
+    known = scene(kind, seed)
+    world, now, beside = known[0], None, None
+    rng = np.random.default_rng(seed)
+    if disturbed in {"furniture", "everything"}:
+        now = moved_furniture(world, rng, 0.5)
+    if disturbed in {"blocked", "everything"}:
+        beside = lambda scan: blocked(scan, rng, 0.4, 0.01)  # noqa: E731
+    people = 6 if disturbed in {"people", "everything"} else 0
+    alone = None
+    if scanners == 1:
+        alone = Fault(name="none", word="", source=_plain, pair=PAIR[:1])
+    tour = plan_tour(now) if now is not None else known[2]
+    return Run(
+        world, known[1], tour, alone, located=located, seed=seed, people=people, beside=beside,
+        now=now,
+    )  # fmt: skip
