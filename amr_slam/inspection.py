@@ -164,6 +164,10 @@ class Inspector:
         if found is not None and _is_near(found, straight, 0.5 * _APART):
             self._anchor, self._way = found, Pose2.identity()
             return Inspection(looks=Looks.RIGHT, by_motion=True)
+        for pose, name in twisted if found is not None else ():
+            if found is not None and _is_near(found, pose, 0.5 * _APART):
+                self._anchor, self._way = found, Pose2.identity()
+                return Inspection(looks=Looks.WRONG, fault=name, by_motion=True)
         starts = [straight, *(pose for pose, _ in twisted)]
         ends, agreeing = self._refined(cloud, target, starts)
         best = int(np.argmax(agreeing))
