@@ -15,7 +15,8 @@ Wheels = Callable[[int, int], Motion | None]
 """What the wheels say between two instants; None when they do not know."""
 
 _SCANS: Final = 3
-"""So many bit-identical scans in a row: noise never repeats in that many beams."""
+"""So many bit-identical scans in a row are a fault of the scanner. The second is already not used:
+of 35,000 recorded scans none was the same as the one before."""
 _READINGS: Final = 30
 """Fewer readings than this may repeat: an empty yard is no fault."""
 _STANDS: Final = 1e-3
@@ -49,11 +50,11 @@ class FrozenScans:
 
     @property
     def names(self) -> frozenset[str]:
-        """Scanners whose newest scan was frozen."""
+        """Scanners whose newest scan was the third identical one, or a later one."""
         return frozenset(self._frozen)
 
     def repeats(self, scan: Scan, wheels: Wheels) -> bool:
-        """Whether this scan must not be used, being the third identical one or a later one."""
+        """Whether this scan must not be used, being the same as the one before."""
         line = self._lines.get(scan.scanner)
         if line is None:
             self._lines[scan.scanner] = _Line(last=scan)
@@ -70,9 +71,10 @@ class FrozenScans:
         line.way += way or 0.0
         told = line.noisy or line.way > _MOVED
         readings = int(np.isfinite(scan.ranges_m).sum())
-        if line.alike < _SCANS or not told or readings < _READINGS:
+        if not told or readings < _READINGS:
             return False
-        self._frozen.add(scan.scanner)
+        if line.alike >= _SCANS:
+            self._frozen.add(scan.scanner)
         return True
 
 
