@@ -43,7 +43,8 @@ def main() -> int:
     columns = ("fault", "begins", "found after scans", "named right", "worst error m", "back after",
                "scans in the new map")  # fmt: skip
     cells = tuple((*key, *_cells(found)) for key, found in rows.items())
-    _print(Table(title="Faults", columns=columns, rows=cells))
+    if cells:
+        _print(Table(title="Faults", columns=columns, rows=cells))
     for disturbed in arguments.clean:
         counts = list(_clean(places, disturbed, arguments.periods))
         scans, alone, told = (sum(column) for column in zip(*counts, strict=True))
@@ -87,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--worlds", nargs="+", choices=list(WORLDS), default=list(WORLDS))
     add("--seeds", nargs="+", type=int, default=[21, 22])
     add("--periods", type=int, default=12, help="scan periods of 2 s with the fault, and after it")
-    add("--begins", nargs="+", choices=list(BEGINS), default=list(BEGINS))
+    add("--begins", nargs="*", choices=list(BEGINS), default=list(BEGINS))
     add("--clean", nargs="*", choices=DISTURBED, default=list(DISTURBED))
     return parser
 
