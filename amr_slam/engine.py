@@ -49,7 +49,7 @@ class SlamRequest:
     views: tuple[View, ...] = ()
     """The scanners that saw the cloud; without them their mounting is not questioned."""
     motion: Motion | None = None
-    """What the wheels say since the last request; None where they do not know."""
+    """What the wheels say since the last scan that was registered; None where they do not know."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

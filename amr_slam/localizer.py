@@ -85,7 +85,8 @@ class Localizer:
         self._last_result: SlamResult | None = None
         self._frozen = FrozenScans()
         self._suspicions = Suspicions()
-        self._requested_ns: int | None = None
+        self._answered_ns: int | None = None
+        """Instant of the newest scan that was registered."""
         self._alone = False
         """The cloud handed out last lacks a scanner."""
         self._first_ns: int | None = None
@@ -155,6 +156,7 @@ class Localizer:
     def _handle_result(self, result: SlamResult) -> Outcome:
         self._busy = False
         self._last_result = result
+        self._answered_ns = result.stamp_ns
         if self._filter is None:
             return Outcome.UNKNOWN
         self._hear_of_mounting(result)
@@ -287,16 +289,15 @@ class Localizer:
             covariance=prior[1] if self._located else None,
             also=self._hypotheses.poses(),
             views=merged.views,
-            motion=self._since_request(cloud.stamp_ns),
+            motion=self._since_answer(cloud.stamp_ns),
         )
-        self._requested_ns = cloud.stamp_ns
         self._alone = len(merged.views) < len(self._pairing)
         self._busy = True
 
-    def _since_request(self, stamp_ns: int) -> Motion | None:
-        if self._requested_ns is None or self._filter is None:
+    def _since_answer(self, stamp_ns: int) -> Motion | None:
+        if self._answered_ns is None or self._filter is None:
             return None
-        return self._filter.motion_between(self._requested_ns, stamp_ns)
+        return self._filter.motion_between(self._answered_ns, stamp_ns)
 
     # -- estimates out ---------------------------------------------------------------------
 
