@@ -153,12 +153,13 @@ def cloud_from_scan(
     params: CloudParams,
     *,
     upside_down: bool = False,
-    sweep: tuple[Pose2, Pose2] | None = None,
+    sweep: Sequence[Pose2] | None = None,
 ) -> Cloud:
     """The scan's usable hits in the base frame of its middle instant.
 
-    ``sweep``: where the base stood at the first and at the last beam, in the base frame of the
-    middle instant; each beam is moved by its own time (deskewed). None: no motion.
+    ``sweep``: where the base stood at the first beam, at instants evenly after it, and at the last
+    beam, in the base frame of the middle instant (two poses at least); each beam is moved by its
+    own time (deskewed). None: no motion.
     ``upside_down``: the scanner hangs, its counter-clockwise is the robot's clockwise.
     """
     angles = -scan.angles_rad if upside_down else scan.angles_rad
@@ -184,7 +185,7 @@ def cloud_from_points(
     *,
     step_rad: float,
     stamp_ns: int = 0,
-    sweep: tuple[Pose2, Pose2] | None = None,
+    sweep: Sequence[Pose2] | None = None,
 ) -> Cloud:
     """The same from points (beams, 2) in the lidar's frame, in the order of their beams, which
     are ``step_rad`` apart; NaN where a beam returned nothing."""
@@ -235,18 +236,16 @@ def cloud_from_points(
     )
 
 
-def _deskew(points: Array, fraction: Array, sweep: tuple[Pose2, Pose2]) -> Array:
-    """Each point moved by the base's pose at its own fraction of the sweep (small motions:
-    position and heading interpolated linearly)."""
-    first, last = sweep[0].as_array(), sweep[1].as_array()
-    turn = math.remainder(last[2] - first[2], math.tau)
-    theta = first[2] + fraction[:, 0] * turn
+def _deskew(points: Array, fraction: Array, sweep: Sequence[Pose2]) -> Array:
+    """Each point moved by the base's pose at its own fraction of the sweep (between two poses,
+    position and heading linearly)."""
+    knots = np.array([pose.as_array() for pose in sweep])
+    knots[:, 2] = np.unwrap(knots[:, 2])
+    at = np.linspace(0.0, 1.0, len(knots))
+    x, y, theta = (np.interp(fraction[:, 0], at, knots[:, axis]) for axis in range(3))
     c, s = np.cos(theta), np.sin(theta)
-    shift = first[:2] + fraction * (last[:2] - first[:2])
-    rotated = np.stack(
-        [c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]], axis=1
-    )
-    return rotated + shift
+    px, py = points.T
+    return np.stack([c * px - s * py + x, s * px + c * py + y], axis=1)
 
 
 def merge(clouds: Sequence[tuple[Cloud, Pose2]]) -> Cloud:

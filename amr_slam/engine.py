@@ -8,19 +8,21 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
+from amr_slam.arrangement import View
 from amr_slam.changes import Change, compare
 from amr_slam.clouds import Cloud
 from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, apart, objection, unknown
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
+from amr_slam.inspection import Inspection, Inspector, Looks
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration.icp import Prior, points_alone
-from amr_slam.samples import SlamPose
+from amr_slam.samples import Motion, SlamPose
 from amr_slam.slam import slam_absolute_rungs, slam_relative
 
 Mode = Literal["mapping", "localization"]
@@ -44,6 +46,10 @@ class SlamRequest:
     also: Array | None = None
     """(k, 3) poses to try beside what a search everywhere finds: where earlier scans said that
     the robot may be, moved on by the wheels."""
+    views: tuple[View, ...] = ()
+    """The scanners that saw the cloud; without them their mounting is not questioned."""
+    motion: Motion | None = None
+    """What the wheels say since the last scan that was registered; None where they do not know."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -63,6 +69,8 @@ class SlamResult:
     change: Change | None = None
     """Localization: the scan against the map at the answer's pose, or where nothing was accepted
     at the best one near the expected pose."""
+    inspection: Inspection = field(default_factory=Inspection)
+    """What the scan says of the scanners' mounting. Where it looks wrong there is no fix."""
 
 
 class SlamEngine:
@@ -73,6 +81,7 @@ class SlamEngine:
         self.map = grown
         self.mode: Mode = mode
         self._last_inserted: Pose2 | None = None
+        self._inspector = Inspector(params)
 
     def update(self, request: SlamRequest) -> SlamResult:
         """Register one cloud. Never raises for what a scan contains."""
@@ -83,17 +92,31 @@ class SlamEngine:
         vague = prior is not None and self._vague(prior)
         climbed = tuple(self._climb(request, prior, vague=vague))
         answer = self._choose(climbed, vague=vague)
+        inspection = self._inspect(request, answer)
+        wrong = inspection.looks is Looks.WRONG
         fix = None
         believed = False
-        if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
+        if answer.verdict is Verdict.ACCEPTED and answer.best is not None and not wrong:
             fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
             believed = prior is not None and _compatible(fix, prior)
-        new = fix is None and self._new_territory(climbed[0])
+        new = fix is None and not wrong and self._new_territory(climbed[0])
         inserted = self.mode == "mapping" and self._grow(
             request, answer, believed=believed, new=new
         )
         result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
-        return replace(result, change=self._compare(cloud, climbed[0] if fix is None else answer))
+        change = self._compare(cloud, climbed[0] if fix is None else answer)
+        return replace(result, change=change, inspection=inspection)
+
+    def _inspect(self, request: SlamRequest, answer: Answer) -> Inspection:
+        return self._inspector.inspect(
+            request.cloud,
+            request.views,
+            request.map_from_base,
+            request.motion,
+            answer,
+            self.map,
+            mapping=self.mode == "mapping",
+        )
 
     def _compare(self, cloud: Cloud, answer: Answer) -> Change | None:
         """Of a growing map nothing can be said to have changed; nor of a place merely guessed."""
@@ -167,12 +190,17 @@ class SlamEngine:
     def _found(self, request: SlamRequest) -> SlamResult:
         """The first scan founds the map: its frame is where the robot stands."""
         pose = request.map_from_base or Pose2.identity()
-        inserted = len(request.cloud) > 0
+        inspection = self._inspector.founding(request.cloud, request.views, pose)
+        wrong = inspection.looks is Looks.WRONG
+        inserted = len(request.cloud) > 0 and not wrong
         if inserted:
             self.map.insert(request.cloud, pose)
             self._last_inserted = pose
         answer = unknown("the first scan founds the map" if inserted else "the scan is empty")
-        return self._result(request.cloud.stamp_ns, (answer,), answer, None, inserted=inserted)
+        if wrong:
+            answer = unknown("the scanners contradict each other")
+        result = self._result(request.cloud.stamp_ns, (answer,), answer, None, inserted=inserted)
+        return replace(result, inspection=inspection)
 
     def _new_territory(self, answer: Answer) -> bool:
         """Mapping: the scan overlaps too little with the map to say anything. That is no

@@ -125,12 +125,12 @@ def assess(X: Cloud, target: Target, alignment: Alignment, params: SlamParams) -
         known=known,
         conflict=conflict,
         passes=passes,
-        agreeing=_least_witness(X, np.abs(longer) <= tolerance),
+        agreeing=least_witness(X, np.abs(longer) <= tolerance),
         e_psr_m=mean_below(distance),
     )
 
 
-def _least_witness(X: Cloud, agrees: NDArray[np.bool_]) -> float:
+def least_witness(X: Cloud, agrees: NDArray[np.bool_]) -> float:
     """Least share of a scanner's surface that agrees, of those that saw a fair part of it."""
     seen = np.bincount(X.scanners, X.weights)
     agreed = np.bincount(X.scanners, X.weights * agrees, len(seen))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,21 +19,25 @@ from amr_slam.agreement import AGREE_D2, agreement_d2, moved
 from amr_slam.clouds import CloudParams
 from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
+from amr_slam.frozen import FrozenScans
 from amr_slam.fusion import FilterParams, PoseFilter, error95_m
 from amr_slam.geometry import Array, Pose2
 from amr_slam.hypotheses import Hypotheses
+from amr_slam.mounting import Mounting
 from amr_slam.odometry import Odometry
-from amr_slam.pairing import Mounting, Pairing, end_ns
+from amr_slam.pairing import Pairing, end_ns
 from amr_slam.samples import (
     Candidate,
     DriveSample,
+    Motion,
     Outcome,
     PoseEstimate,
     Scan,
     SlamPose,
     State,
 )
-from amr_slam.trust import LocalizerParams, fault_of, too_wide, whole_map
+from amr_slam.suspicions import Suspicions
+from amr_slam.trust import LocalizerParams, fault_of, scanner_fault, too_wide, whole_map
 
 __all__ = ["Localizer", "LocalizerParams", "Mounting", "Sample"]
 
@@ -77,6 +82,13 @@ class Localizer:
         self._hypotheses = Hypotheses(params.tracking)
         self._refusals = 0
         self._last_result: SlamResult | None = None
+        self._frozen = FrozenScans()
+        self._suspicions = Suspicions()
+        self._answered_ns: int | None = None
+        """Instant of the newest scan that was registered."""
+        self._alone = False
+        """The cloud handed out last lacks a scanner."""
+        self._first_ns: int | None = None
         self.outcomes: Counter[str] = Counter()
         """How many samples of which kind had which outcome, e.g. ``scan.accepted``."""
 
@@ -108,6 +120,7 @@ class Localizer:
             pose, covariance = self._start or (Pose2.identity(), _ANYWHERE)
             self._filter = PoseFilter(self._filter_params, sample.stamp_ns, pose, covariance)
             self._wheels = sample
+            self._first_ns = sample.stamp_ns
             return Outcome.ACCEPTED
         if sample.stamp_ns <= self._filter.stamp_ns or self._wheels is None:
             same = sample.stamp_ns == self._filter.stamp_ns
@@ -128,6 +141,8 @@ class Localizer:
         if self._filter is None:
             return Outcome.FUTURE
         self._bridge_silence(end_ns(scan))
+        if self._frozen.repeats(scan, self._filter.motion_between):
+            return Outcome.FROZEN
         self._pairing.keep(scan)
         return Outcome.ACCEPTED
 
@@ -141,12 +156,16 @@ class Localizer:
     def _handle_result(self, result: SlamResult) -> Outcome:
         self._busy = False
         self._last_result = result
+        self._answered_ns = result.stamp_ns
         if self._filter is None:
             return Outcome.UNKNOWN
+        self._hear_of_mounting(result)
+        if self._suspicions.withholds(result.inspection):
+            return Outcome.MISMOUNTED
         if result.fix is None and result.inserted:
             self._refusals = 0
             return Outcome.ACCEPTED
-        outcome = self._take_in(result, whole_map(result), result.fix)
+        outcome = self._take_in(result, whole_map(result), self._weakened(result.fix))
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             self._refusals = 0
             self._agreeing.clear()
@@ -154,6 +173,19 @@ class Localizer:
         elif outcome is not Outcome.UNKNOWN or not self._fits_where_expected(result):
             self._refusals += 1
         return outcome
+
+    def _hear_of_mounting(self, result: SlamResult) -> None:
+        """A fault that looked like another pose has made that of the fusion wrong: seek anew."""
+        found = self._suspicions.hear(result.inspection)
+        if found and self._suspicions.by_motion and self._mode == "localization":
+            self._located = False
+            self._hypotheses.clear()
+
+    def _weakened(self, fix: SlamPose | None) -> SlamPose | None:
+        """A fix without the other scanner as a second witness claims less."""
+        if fix is None or not self._alone:
+            return fix
+        return replace(fix, covariance=self._params.alone_inflation * fix.covariance)
 
     def _take_in(
         self, result: SlamResult, whole_map: Answer | None, fix: SlamPose | None
@@ -242,12 +274,13 @@ class Localizer:
         scans = self._pairing.take(self._filter.stamp_ns)
         if not scans:
             return
-        cloud, late = self._pairing.merged(scans, self._filter)
+        merged, late = self._pairing.merged(scans, self._filter)
         if late:
             self.outcomes["scan.late"] += late
-        prior = None if cloud is None else self._filter.pose_at(cloud.stamp_ns)
-        if cloud is None or prior is None:
+        prior = None if merged is None else self._filter.pose_at(merged.cloud.stamp_ns)
+        if merged is None or prior is None:
             return
+        cloud = merged.cloud
         if len(self._hypotheses):
             self._hypotheses.carry(cloud.stamp_ns, self._filter.motion_between)
         self._request = SlamRequest(
@@ -255,8 +288,16 @@ class Localizer:
             map_from_base=prior[0] if self._located else None,
             covariance=prior[1] if self._located else None,
             also=self._hypotheses.poses(),
+            views=merged.views,
+            motion=self._since_answer(cloud.stamp_ns),
         )
+        self._alone = len(merged.views) < len(self._pairing)
         self._busy = True
+
+    def _since_answer(self, stamp_ns: int) -> Motion | None:
+        if self._answered_ns is None or self._filter is None:
+            return None
+        return self._filter.motion_between(self._answered_ns, stamp_ns)
 
     # -- estimates out ---------------------------------------------------------------------
 
@@ -300,10 +341,20 @@ class Localizer:
             since_fix_s=since_fix_s,
             since_fix_m=self._filter.since_fix_m,
             wheel_age_s=wheel_age_s,
-            fault=fault_of(self._last_result, self._refusals, wheel_age_s, self._params),
+            fault=self._fault(now_ns, wheel_age_s),
             candidates=self._candidates(fused.stamp_ns) if state is State.AMBIGUOUS else (),
             explained=None if change is None else change.explained,
         )
+
+    def _fault(self, now_ns: int, wheel_age_s: float) -> str | None:
+        since_ns = now_ns if self._first_ns is None else self._first_ns
+        missing = self._pairing.missing(now_ns, since_ns)
+        faults = (
+            self._suspicions.fault and f"scanner configuration: {self._suspicions.fault}",
+            scanner_fault(missing, sorted(self._frozen.names)),
+            fault_of(self._last_result, self._refusals, wheel_age_s, self._params),
+        )
+        return "; ".join(fault for fault in faults if fault) or None
 
     def _candidates(self, stamp_ns: int) -> tuple[Candidate, ...]:
         """The places that are worth telling, moved on by the wheels."""
@@ -323,11 +374,13 @@ class Localizer:
         params = self._params
         if self._last_result is None:
             return State.STARTING
-        if not self._located or self._doubtful():
+        mismounted = self._suspicions.fault is not None or self._suspicions.doubtful
+        if not mismounted and (not self._located or self._doubtful()):
             places = sum(one.odds for one in self._hypotheses.candidates())
             return State.AMBIGUOUS if places >= 0.5 else State.LOST
         if (
-            too_wide(covariance, params)
+            mismounted
+            or too_wide(covariance, params)
             or since_fix_s > params.lost_s
             or wheel_age_s > params.wheels_lost_s
             or self._refusals >= params.lost_refusals

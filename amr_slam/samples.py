@@ -215,6 +215,10 @@ class Outcome(enum.StrEnum):
     DUPLICATE = "duplicate"
     INVALID = "invalid"
     """Not finite, not positive definite, beyond physical limits."""
+    FROZEN = "frozen"
+    """A scan that its scanner has sent before, to the last bit."""
+    MISMOUNTED = "mismounted"
+    """A scan that speaks against the configuration of the scanners."""
     UNKNOWN = "unknown"
     """A scan for which no pose was found."""
 

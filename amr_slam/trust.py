@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -21,6 +22,8 @@ class LocalizerParams:
 
     pair_wait_s: Annotated[float, Ge(0.0)] = 0.15
     """How long a scan waits for the other scanner's before it is registered alone."""
+    alone_inflation: Annotated[float, Ge(1.0)] = 2.0
+    """Factor on the covariance of a fix that lacks one of the robot's scanners."""
     fresh_s: Annotated[float, Gt(0.0)] = 5.0
     """A fix older than this (2.5 scan periods) is not fresh: odometry_only."""
     lost_s: Annotated[float, Gt(0.0)] = 20.0
@@ -59,6 +62,13 @@ def whole_map(result: SlamResult) -> Answer | None:
     """The most thorough answer of a search of the whole map, if there was one."""
     searched = [one for one in result.climbed if one.rung in {Rung.ABSOLUTE, Rung.EXHAUSTIVE}]
     return searched[-1] if searched else None
+
+
+def scanner_fault(missing: Sequence[str], frozen: Sequence[str]) -> str | None:
+    """Which scanners do not take part."""
+    faults = [f"{name} scanner frozen: it sends the same scan again and again" for name in frozen]
+    faults += [f"{name} scanner missing" for name in missing if name not in frozen]
+    return "; ".join(faults) or None
 
 
 def fault_of(

@@ -121,6 +121,7 @@ class Robot:
             seed=3,
             start_ns=time.monotonic_ns(),
         )
+        self.disturb: Callable[[Scan], Scan] = lambda scan: scan
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._live)
         self._thread.start()
@@ -130,7 +131,7 @@ class Robot:
             for sample in self._robot.advance(0.0, 0.15):
                 if isinstance(sample, Scan):
                     scanner = self.front if sample.scanner == "front" else self.rear
-                    scanner.measure(sample.ranges_m)
+                    scanner.measure(self.disturb(sample).ranges_m)
                 elif isinstance(sample, WheelSample):
                     for frame in self._wheels.frames(sample.left_rad, sample.right_rad):
                         self.can.send(frame)

@@ -50,6 +50,7 @@ class Rig:
         self.truth = start or Pose2.identity()
         self.now_ns = 1_000_000_000
         self.wheels_rad = np.zeros(2)
+        self.noise = np.random.default_rng(0)
         self.requests: list[SlamRequest] = []
         self.wheels()
 
@@ -78,7 +79,7 @@ class Rig:
             Scan(
                 scanner=scanner,
                 stamp_ns=self.now_ns - round(1e9 * ago_s),
-                ranges_m=np.full(90, 3.0),
+                ranges_m=3.0 + self.noise.normal(0.0, 0.01, 90),
                 angle_min_rad=-0.4,
                 angle_step_rad=0.01,
             )

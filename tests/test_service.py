@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from daemon_rig import (
 
 from amr_slam.cli import main
 from amr_slam.map import load_map
-from amr_slam.samples import State
+from amr_slam.samples import Scan, State
 from amr_slam.service import probe
 from amr_slam.wire import StatusMessage
 
@@ -130,6 +131,36 @@ def test_a_scanner_comes_back_and_ctrl_c_saves_the_map(robot: Robot, tmp_path: P
         assert daemon.stop(signal.SIGINT, group=True) == 130
         assert len(load_map(daemon.map_path)[0].path) >= 1
         assert "Traceback" not in daemon.log()
+
+
+def test_scanners_that_freeze_or_are_mirrored_are_named_and_come_back(
+    robot: Robot, tmp_path: Path
+) -> None:
+    first: list[Scan] = []
+
+    def rear_frozen(scan: Scan) -> Scan:
+        if scan.scanner == "rear":
+            first.append(scan)
+        return first[0] if scan.scanner == "rear" else scan
+
+    def rear_mirrored(scan: Scan) -> Scan:
+        return replace(scan, ranges_m=scan.ranges_m[::-1]) if scan.scanner == "rear" else scan
+
+    with Daemon(tmp_path) as daemon:
+        daemon.listen()
+        daemon.status_when(is_well, "all is well")
+        for disturb, named in (
+            (rear_frozen, "rear scanner frozen"),
+            (rear_mirrored, "scanner configuration: rear scanner looks mirrored"),
+        ):
+            robot.disturb = disturb
+            daemon.status_when(lambda s, text=named: text in (s.fault or ""), named)  # type: ignore[misc]
+            robot.disturb = lambda scan: scan
+            daemon.status_when(lambda s: is_well(s) and s.fault is None, "all is well again")
+        status = daemon.status_when(lambda s: s.state is State.MAPPING, "mapping")
+        assert status.outcomes["scan.frozen"] > 0
+        assert status.outcomes["fix.mismounted"] >= 3
+        assert daemon.stop() == 0
 
 
 @pytest.mark.parametrize(

@@ -47,7 +47,10 @@ def run(arguments: argparse.Namespace) -> int:
             begun_s = time.perf_counter()
             mounting = source.mountings[scan.scanner]
             cloud = cloud_from_scan(
-                scan, mounting.base_from_lidar, params.clouds, upside_down=mounting.upside_down
+                mounting.masked(scan),
+                mounting.base_from_lidar,
+                params.clouds,
+                upside_down=mounting.upside_down,
             )
             request = SlamRequest(
                 cloud=cloud,

@@ -24,7 +24,8 @@ from amr_slam.config.checking import ConfigError, checked, located, read_toml, s
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
-from amr_slam.localizer import LocalizerParams, Mounting
+from amr_slam.localizer import LocalizerParams
+from amr_slam.mounting import Mask, Mounting
 from amr_slam.odometry import Odometry, drive_kinds
 from amr_slam.params import Preset, SlamParams, preset
 from amr_slam.recording import RecordedDevice
@@ -79,11 +80,20 @@ class MountingSettings:
     """Hangs head down: its beams run clockwise, seen from above."""
     lag_s: Annotated[float, Interval(ge=-1, le=1)] = 0.0
     """Its stamps are late by this against the wheels', in s; ``tools/calibrate.py`` finds it."""
+    masks: tuple[Mask, ...] = ()
+    """Sectors in which it sees the robot itself, as ``{ from_deg = -135.0, to_deg = -120.0 }``:
+    bearings counter-clockwise from ``theta_deg``, seen from above; with ``closer_than_m = 0.4``
+    only nearer readings are dropped."""
 
     @property
     def mounting(self) -> Mounting:
         pose = Pose2(self.x_m, self.y_m, math.radians(self.theta_deg))
-        return Mounting(base_from_lidar=pose, upside_down=self.upside_down, lag_s=self.lag_s)
+        return Mounting(
+            base_from_lidar=pose,
+            upside_down=self.upside_down,
+            lag_s=self.lag_s,
+            masks=self.masks,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -30,6 +30,7 @@ from amr_slam.samples import (
     Way,
     untapped,
 )
+from amr_slam.service.line_quality import LineQuality
 
 _log = logging.getLogger(__name__)
 _SampleT = TypeVar("_SampleT", Scan, DriveSample)
@@ -90,6 +91,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
         self._seen = _Seen()
         self._received: deque[int] = deque(maxlen=_RATE_SAMPLES)
         self._errors_before = 0
+        self._quality = LineQuality()
         self._lost = False
         self._stopping = threading.Event()
         # A daemon: a driver that hangs must not keep the program from ending.
@@ -167,6 +169,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
             wait_s = min(2.0 * wait_s, self._reconnect_max_s)
 
     def _serve_one_connection(self) -> None:
+        self._quality.restart()
         stamp_ns = time.monotonic_ns()
         self._tap(RawBytes(device=self.name, stamp_ns=stamp_ns, way=Way.OPENED))
         try:
@@ -193,6 +196,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
                     self._sink(selected)
 
     def _note_sample(self, now_ns: int) -> None:
+        self._quality.sample_came()
         self._received.append(now_ns)
         span_s = 1e-9 * (now_ns - self._received[0])
         self._seen = replace(
@@ -207,6 +211,8 @@ class DeviceThread(ABC, Generic[_SampleT]):
 
     def _note_status(self, source: Scanner | OdometrySource) -> None:
         errors, detail = source.status()
+        complaint = self._quality.complaint(time.monotonic_ns(), errors)
+        detail = detail or complaint  # the driver knows its device better
         self._seen = replace(
             self._seen, errors=self._errors_before + errors, detail=detail, info=source.info()
         )
@@ -240,8 +246,15 @@ class ScannerThread(DeviceThread[Scan]):
 
     def _open(self) -> Scanner:
         module = registry.scanner_module(self._settings.driver)
-        self._scanner = module.open_scanner(self._settings.name, self._settings.options, self._tap)
+        self._scanner = module.open_scanner(
+            self._settings.name, self._settings.options, self._passed
+        )
         return self._scanner
+
+    def _passed(self, raw: RawBytes) -> None:
+        if raw.way is Way.RECEIVED:
+            self._quality.bytes_came(len(raw.data), raw.stamp_ns)
+        self._tap(raw)
 
     def _read(self) -> Scan | None:
         return self._scanner.read(_READ_TIMEOUT_S)

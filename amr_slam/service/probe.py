@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,7 @@ from amr_slam.config import Config, ConfigError, load
 from amr_slam.map import MapError, load_map
 from amr_slam.odometry import joints_of
 from amr_slam.samples import DriveSample, JointSample, Link, OdometrySample, Scan, WheelSample
+from amr_slam.service.body import own_body
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 
 PROBE_S: Final = 5.0
@@ -56,7 +58,9 @@ def _summary(config: Config, config_path: Path) -> Iterator[str]:
 def _probe(config: Config) -> int:
     """The daemon's own device threads, for a few seconds."""
     received: list[_Received] = []
-    scanners = [ScannerThread(s, received.append, PROBE_S) for s in config.scanners]
+    # Every scan, not one in a scan period: a few tell what never moves.
+    settings = [replace(scanner, poll_period_s=0.0) for scanner in config.scanners]
+    scanners = [ScannerThread(s, received.append, PROBE_S) for s in settings]
     wheels = WheelsThread(config.odometry, received.append, PROBE_S, config.localizer.wheels_late_s)
     devices: Sequence[ScannerThread | WheelsThread] = (*scanners, wheels)
     if sys.stderr.isatty():
@@ -71,6 +75,9 @@ def _probe(config: Config) -> int:
     for device in devices:
         device.join(1.0)
     _print(line for line, _ in lines.values())
+    for scanner in config.scanners:
+        scans = [r for r in received if isinstance(r, Scan) and r.scanner == scanner.name]
+        _print(f"{scanner.name}: {line}" for line in own_body(scans, scanner.mounting.mounting))
     return 0 if all(well for _, well in lines.values()) else 1
 
 
