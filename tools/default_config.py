@@ -40,7 +40,7 @@ REQUIRED: dict[str, Any] = {
     "scanners.options.port": "/dev/serial/by-id/usb-front",
     "map.mode": "mapping",
 }
-ABSENT = {"map.path": "maps/hall.amrmap"}
+ABSENT = {"map.path": "maps/hall.amrmap", "zenoh.keys": "/etc/amr-slam/keys"}
 CHOICES = {
     "drive": ("kind", "differential", "How wheel samples become motion: differential or poses."),
     "slam": ("preset", "default", "The values that the others start from: default or paper."),
