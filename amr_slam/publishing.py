@@ -17,10 +17,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Final, Self, TypeVar
 
 import zenoh
 
+from amr_slam.keys import CredentialsError, read_credentials
 from amr_slam.wire import (
     DEFAULT_ENDPOINT,
     MAX_MESSAGE_BYTES,
@@ -50,7 +52,7 @@ class PublishingError(Exception):
     key. One line."""
 
 
-def _open(options: dict[str, Any], endpoints: Sequence[str]) -> zenoh.Session:
+def _open(options: dict[str, Any], endpoints: Sequence[str], keys: Path | None) -> zenoh.Session:
     common: dict[str, Any] = {
         "connect/retry": _RETRY,
         "transport/unicast/open_timeout": _HANDSHAKE_MS,
@@ -60,6 +62,11 @@ def _open(options: dict[str, Any], endpoints: Sequence[str]) -> zenoh.Session:
         # Messages are small, and a killed process leaves its shared memory behind.
         "transport/shared_memory/enabled": False,
     }
+    try:
+        if keys is not None:
+            options |= read_credentials(keys).options()
+    except CredentialsError as error:
+        raise PublishingError(str(error)) from error
     config = zenoh.Config()
     try:
         for key, value in (common | options).items():
@@ -142,6 +149,7 @@ class RobotPublisher:
                 "transport/link/tx/lease": settings.lease_ms,
             },
             (*settings.listen, *settings.connect),
+            settings.keys,
         )
         key = partial(robot_key, settings.prefix, robot)
         with _declaring(self._session):
@@ -197,10 +205,12 @@ class FleetListener:
         robots: Sequence[str] = (),
         *,
         prefix: str = "amr",
+        keys: Path | None = None,
         connect_timeout_s: float = 10.0,
         queue_size: int = 1024,
     ) -> None:
-        """``endpoint``: of a robot or a router; ``robots``: their names, none for all.
+        """``endpoint``: of a robot or a router; ``robots``: their names, none for all; ``keys``:
+        folder that ``amr-slam keys fleet`` wrote.
 
         ``queue_size``: poses kept for :meth:`next_pose`; beyond it the oldest go.
         Raises PublishingError when nobody answers within ``connect_timeout_s``.
@@ -217,6 +227,7 @@ class FleetListener:
                 "scouting/multicast/enabled": False,
             },
             (endpoint,),
+            keys,
         )
         with _declaring(self._session):
             for robot in robots or ("*",):

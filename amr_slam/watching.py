@@ -6,6 +6,7 @@ import math
 import threading
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Final
 
 from rich.console import Console
@@ -37,6 +38,7 @@ def watch(
     robots: Sequence[str] = (),
     *,
     prefix: str = "amr",
+    keys: Path | None = None,
     console: Console | None = None,
     stop: threading.Event | None = None,
 ) -> None:
@@ -45,7 +47,7 @@ def watch(
     console = console or Console()
     stop = stop or threading.Event()
     with FleetListener(
-        endpoint, robots, prefix=prefix, connect_timeout_s=_CONNECT_TIMEOUT_S
+        endpoint, robots, prefix=prefix, keys=keys, connect_timeout_s=_CONNECT_TIMEOUT_S
     ) as fleet:
         if not console.is_terminal:
             while not stop.wait(_LINE_PERIOD_S):

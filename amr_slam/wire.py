@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from annotated_types import Ge, Gt, Interval, Le, Len
@@ -63,6 +64,9 @@ class ZenohSettings:
     can connect can read the poses and, without access control, send commands."""
     connect: Annotated[tuple[Endpoint, ...], Len(0, 16)] = ()
     """Routers to connect to. Absent ones are tried for ever in the background."""
+    keys: Path | None = None
+    """Folder that ``amr-slam keys robot`` wrote: who the robot is, and whom it trusts. Without it
+    nothing is encrypted, and whoever reaches an endpoint is let in."""
     multicast_scouting: bool = False
     """Find each other by multicast: handy on a desk, noise on a vehicle network."""
     lease_ms: Annotated[int, Interval(ge=100, le=1000)] = 1000

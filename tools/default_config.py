@@ -42,6 +42,7 @@ REQUIRED: dict[str, Any] = {
 }
 ABSENT = {
     "map.path": '"maps/hall.amrmap"',
+    "zenoh.keys": '"/etc/amr-slam/keys"',
     "odometry.options.drive": '{ message = "Traction", signal = "DriveCount" }',
     "odometry.options.steer": '{ message = "Steering", signal = "SteerAngle", unit = "deg" }',
 }

@@ -14,5 +14,5 @@ FAILURES: Final[dict[type[Exception], int]] = {PublishingError: 1}
 
 def run(arguments: argparse.Namespace) -> int:
     """Watch until Ctrl-C."""
-    watch(arguments.connect or DEFAULT_ENDPOINT, arguments.robots)
+    watch(arguments.connect or DEFAULT_ENDPOINT, arguments.robots, keys=arguments.keys)
     return 0

@@ -17,6 +17,7 @@ MODULES: Final = {
     "localize": "amr_slam.cli.localizing",
     "map": "amr_slam.cli.maps",
     "watch": "amr_slam.cli.fleet",
+    "keys": "amr_slam.cli.keys",
 }
 """Where a command is done: a module with ``run(arguments) -> status`` and ``FAILURES``, the
 exceptions that end it with one line, each with its exit status."""
@@ -50,6 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_localize(commands)
     _add_map(commands)
     _add_watch(commands)
+    _add_keys(commands)
     return parser
 
 
@@ -241,7 +243,72 @@ def _add_watch(commands: Subparsers[_Parser]) -> None:
         metavar="ENDPOINT",
         help="a robot's or router's Zenoh endpoint (default: this computer)",
     )
+    watch.add_argument(
+        "--keys", metavar="FOLDER", type=Path, help="what 'amr-slam keys fleet NAME' wrote"
+    )
     watch.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
+
+
+def _add_keys(commands: Subparsers[_Parser]) -> None:
+    keys = _command(
+        commands,
+        "keys",
+        "keys and access rules of a site: its router, robots and controllers",
+        "amr-slam keys init --site hall3 --router 192.168.1.5",
+    )
+    actions = keys.add_subparsers(dest="action", metavar="ACTION", required=True)
+    init = _command(
+        actions,
+        "init",
+        "a new site",
+        "amr-slam keys init --site hall3 --router 192.168.1.5",
+    )
+    init.add_argument("--site", metavar="NAME", required=True, help="what certificates call it")
+    init.add_argument(
+        "--router",
+        metavar="HOST",
+        nargs="+",
+        required=True,
+        help="names or addresses under which robots find the router",
+    )
+    init.add_argument("--prefix", default="amr", help="first part of all keys (default amr)")
+    init.add_argument(
+        "--auth",
+        choices=("tls", "password"),
+        default="tls",
+        help="certificates on both sides, encrypted (default), or user and password in the clear",
+    )
+    robot = _command(
+        actions,
+        "robot",
+        "keys for a robot: it may publish its own keys, nothing else",
+        "amr-slam keys robot amr7",
+    )
+    fleet = _command(
+        actions,
+        "fleet",
+        "keys for a controller: it may look, and with --commands command",
+        "amr-slam keys fleet controller --commands",
+    )
+    fleet.add_argument("--commands", action="store_true", help="it may call commands")
+    revoke = _command(
+        actions,
+        "revoke",
+        "a member's keys open nothing any more",
+        "amr-slam keys revoke robot amr7",
+    )
+    revoke.add_argument("kind", choices=("robot", "fleet"))
+    for parser in (robot, fleet, revoke):
+        parser.add_argument("name", metavar="NAME")
+    listed = _command(actions, "list", "members and when their keys expire", "amr-slam keys list")
+    for parser in (init, robot, fleet, revoke, listed):
+        parser.add_argument(
+            "--dir", type=Path, default=Path("keys"), help="the site's folder (default keys)"
+        )
+    for parser in (init, robot, fleet):
+        parser.add_argument(
+            "--days", type=_days, default=730, help="certificates are valid for (default 730)"
+        )
 
 
 # -- values ----------------------------------------------------------------------------------
@@ -265,6 +332,12 @@ def _finite(text: str, least: float = -math.inf) -> float:
 def _count(text: str) -> int:
     if not (text.isdecimal() and len(text) <= 3):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to 999")
+    return int(text)
+
+
+def _days(text: str) -> int:
+    if not (text.isdecimal() and len(text) <= 4 and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of days from 1 to 9999")
     return int(text)
 
 

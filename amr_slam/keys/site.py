@@ -1,0 +1,282 @@
+"""A site's folder of keys: members added and removed, everything that follows written anew."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from annotated_types import Len
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from amr_slam.keys import credentials
+from amr_slam.keys.authority import KeyPair, issue, new_authority
+from amr_slam.keys.rules import access_control, member
+
+_STATE: Final = "site.json"
+_MAX_STATE_BYTES: Final = 4 * 1024 * 1024
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_ROUTER_PORT: Final = 7447
+_MAX_MESSAGE_BYTES: Final = 64 * 1024 * 1024
+"""The largest map that a router passes on."""
+
+Auth = Literal["tls", "password"]
+
+
+class KeysError(Exception):
+    """What cannot be done to a site's keys: one line that names the file or the member."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Member:
+    """A robot or a controller of a site."""
+
+    kind: Literal["robot", "fleet"]
+    name: str
+    commands: bool
+    """A controller that may call commands."""
+    folder: Path
+    expires: datetime | None
+    """None: a password, which does not."""
+
+
+class _State(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    site: str
+    prefix: str
+    auth: Auth
+    router_hosts: Annotated[list[str], Len(1, 64)]
+    robots: Annotated[list[str], Len(0, 20_000)] = []
+    fleet: Annotated[dict[str, bool], Len(0, 20_000)] = {}
+    """Controllers, and whether they may call commands."""
+
+
+def create(
+    folder: Path,
+    site: str,
+    router_hosts: Sequence[str],
+    *,
+    prefix: str = "amr",
+    auth: Auth = "tls",
+    days: int = 730,
+) -> Site:
+    """A new site in ``folder``, with the router's keys and configuration.
+
+    Raises KeysError when there is one already or a name is none.
+    """
+    _checked(site)
+    if (folder / _STATE).exists():
+        raise KeysError(f"{folder}: is a site's folder already; its keys are not made anew")
+    state = _State(site=site, prefix=prefix, auth=auth, router_hosts=list(router_hosts))
+    made = Site(folder, state)
+    if auth == "tls":
+        authority = new_authority(site)
+        _write(folder / "authority" / credentials.KEY, authority.key, private=True)
+        _write(folder / "authority" / credentials.AUTHORITY, authority.certificate)
+        made.renew_router(days)
+    made.save()
+    return made
+
+
+def load(folder: Path) -> Site:
+    """The site in ``folder``. Raises KeysError: none there, or damaged."""
+    path = folder / _STATE
+    try:
+        with path.open("rb") as stream:
+            state = _State.model_validate_json(stream.read(_MAX_STATE_BYTES))
+    except FileNotFoundError as error:
+        raise KeysError(f"{folder}: no site's folder; begin with 'amr-slam keys init'") from error
+    except OSError as error:
+        raise KeysError(f"{path}: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        raise KeysError(f"{path}: {first['msg']}") from error
+    return Site(folder, state)
+
+
+class Site:
+    """A site as its folder has it. Every change is written at once."""
+
+    def __init__(self, folder: Path, state: _State) -> None:
+        self._folder = folder
+        self._state = state
+
+    @property
+    def name(self) -> str:
+        return self._state.site
+
+    @property
+    def router_folder(self) -> Path:
+        """What the router's machine needs."""
+        return self._folder / "router"
+
+    def add_robot(self, name: str, days: int) -> Member:
+        """A robot's folder; one that is known gets new keys. Raises KeysError."""
+        self._issue("robot", name, days)
+        if name not in self._state.robots:
+            self._state.robots.append(name)
+        self.save()
+        return self._member("robot", name)
+
+    def add_controller(self, name: str, days: int, *, commands: bool) -> Member:
+        """A controller's folder, with or without the right to command. Raises KeysError."""
+        self._issue("fleet", name, days)
+        self._state.fleet[name] = commands
+        self.save()
+        return self._member("fleet", name)
+
+    def revoke(self, kind: Literal["robot", "fleet"], name: str) -> None:
+        """From the router's next start on, the member's keys open nothing. Raises KeysError."""
+        if kind == "robot" and name in self._state.robots:
+            self._state.robots.remove(name)
+        elif kind == "fleet" and name in self._state.fleet:
+            del self._state.fleet[name]
+        else:
+            raise KeysError(f"{self._folder}: no {kind} is named {name!r}")
+        for file in (credentials.KEY, credentials.CERTIFICATE, credentials.LOGIN):
+            (self._place(kind, name) / file).unlink(missing_ok=True)
+        self.save()
+
+    def members(self) -> list[Member]:
+        """Robots, then controllers, by name. Raises KeysError when a file is damaged."""
+        robots = [self._member("robot", name) for name in sorted(self._state.robots)]
+        return robots + [self._member("fleet", name) for name in sorted(self._state.fleet)]
+
+    def renew_router(self, days: int) -> None:
+        """New keys for the router."""
+        hosts = list(dict.fromkeys([*self._state.router_hosts, "localhost", "127.0.0.1"]))
+        self._write_pair(self.router_folder, "router", hosts, days)
+
+    def save(self) -> None:
+        """Write the site's state and the router's configuration."""
+        text = self._state.model_dump_json(indent=1) + "\n"
+        _write(self._folder / _STATE, text.encode())
+        settings = json.dumps(self.router_settings(self.router_folder.resolve()), indent=1) + "\n"
+        _write(self.router_folder / "router.json5", settings.encode())
+        if self._state.auth == "password":
+            _write(self.router_folder / "users.txt", self._users().encode(), private=True)
+
+    def router_settings(self, folder: Path) -> dict[str, object]:
+        """zenohd's configuration, for a router that has the router's files in ``folder``."""
+        state, tls = self._state, self._state.auth == "tls"
+        commanders = [name for name, commands in state.fleet.items() if commands]
+        settings: dict[str, object] = {
+            "mode": "router",
+            "listen": {"endpoints": [f"{'tls' if tls else 'tcp'}/[::]:{_ROUTER_PORT}"]},
+            "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
+            "access_control": access_control(
+                state.prefix,
+                state.robots,
+                commanders,
+                [name for name in state.fleet if name not in commanders],
+                by="cert_common_names" if tls else "usernames",
+            ),
+        }
+        transport: dict[str, object] = {
+            "link": {"rx": {"max_message_size": _MAX_MESSAGE_BYTES}},
+        }
+        if tls:
+            own = credentials.Credentials(folder=folder, login=None)
+            transport["link"] = {
+                "rx": {"max_message_size": _MAX_MESSAGE_BYTES},
+                "tls": own.options()["transport/link/tls"],
+            }
+        else:
+            dictionary = str(folder / "users.txt")
+            transport["auth"] = {"usrpwd": {"dictionary_file": dictionary}}
+        return settings | {"transport": transport}
+
+    def _issue(self, kind: Literal["robot", "fleet"], name: str, days: int) -> None:
+        _checked(name)
+        common_name = member(robot=name) if kind == "robot" else member(controller=name)
+        place = self._place(kind, name)
+        if self._state.auth == "tls":
+            self._write_pair(place, common_name, [common_name, "localhost", "127.0.0.1"], days)
+        else:
+            login = {"user": common_name, "password": secrets.token_urlsafe(24)}
+            _write(place / credentials.LOGIN, json.dumps(login).encode(), private=True)
+
+    def _write_pair(self, place: Path, name: str, hosts: Sequence[str], days: int) -> None:
+        authority = self._authority()
+        try:
+            pair = issue(authority, name, hosts, days)
+        except ValueError as error:
+            raise KeysError(f"{self._folder / 'authority'}: damaged: {error}") from error
+        _write(place / credentials.KEY, pair.key, private=True)
+        _write(place / credentials.CERTIFICATE, pair.certificate)
+        _write(place / credentials.AUTHORITY, authority.certificate)
+
+    def _authority(self) -> KeyPair:
+        place = self._folder / "authority"
+        return KeyPair(
+            key=_read(place / credentials.KEY), certificate=_read(place / credentials.AUTHORITY)
+        )
+
+    def _place(self, kind: Literal["robot", "fleet"], name: str) -> Path:
+        return self._folder / ("robots" if kind == "robot" else "fleet") / name
+
+    def _member(self, kind: Literal["robot", "fleet"], name: str) -> Member:
+        place = self._place(kind, name)
+        expires = None
+        if self._state.auth == "tls":
+            path = place / credentials.CERTIFICATE
+            try:
+                expires = KeyPair(key=b"", certificate=_read(path)).expires
+            except ValueError as error:
+                raise KeysError(f"{path}: no certificate in it") from error
+        return Member(
+            kind=kind,
+            name=name,
+            commands=self._state.fleet.get(name, False) if kind == "fleet" else False,
+            folder=place,
+            expires=expires,
+        )
+
+    def _users(self) -> str:
+        places = [self._place("robot", name) for name in self._state.robots]
+        places += [self._place("fleet", name) for name in self._state.fleet]
+        lines = []
+        for place in places:
+            login = credentials.read_credentials(place).login
+            assert login is not None
+            lines.append(f"{login[0]}:{login[1]}\n")
+        return "".join(lines)
+
+
+def expires_soon(member: Member, now: datetime | None = None) -> bool:
+    """Whether it is time for new keys: less than 60 days left."""
+    now = now or datetime.now(UTC)
+    return member.expires is not None and (member.expires - now).days < 60
+
+
+def _checked(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise KeysError(f"{name!r}: should be 1 to 64 letters, digits, '_', '-' or '.'")
+
+
+def _read(path: Path) -> bytes:
+    try:
+        with path.open("rb") as stream:
+            return stream.read(_MAX_STATE_BYTES)
+    except OSError as error:
+        raise KeysError(f"{path}: {error.strerror}") from error
+
+
+def _write(path: Path, content: bytes, *, private: bool = False) -> None:
+    """Whole or not at all; private files are never readable by others, not even for a moment."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    descriptor, fresh = tempfile.mkstemp(dir=path.parent)
+    with os.fdopen(descriptor, "wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+        os.fchmod(stream.fileno(), 0o600 if private else 0o644)
+    os.replace(fresh, path)

@@ -1,0 +1,240 @@
+"""A site's keys on real sessions: who is let in, what passes the router, what does not."""
+
+from __future__ import annotations
+
+import json
+import socket
+import stat
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+from messages import pose_of
+
+from amr_slam.cli import main
+from amr_slam.keys import Credentials, KeysError, create, load, read_credentials
+from amr_slam.keys.site import Auth, Site, expires_soon
+from amr_slam.publishing import FleetListener, PublishingError, RobotPublisher
+from amr_slam.wire import ZenohSettings
+
+DEADLINE_S = 20.0
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@contextmanager
+def session(options: dict[str, Any]) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    for key, value in ({"scouting/multicast/enabled": False} | options).items():
+        config.insert_json5(key, json.dumps(value))
+    with zenoh.open(config) as opened:
+        yield opened
+
+
+@contextmanager
+def router(site: Site, auth: Auth) -> Iterator[str]:
+    """The written configuration in a real router; only its port is another."""
+    settings = json.loads((site.router_folder / "router.json5").read_text())
+    protocol = "tls" if auth == "tls" else "tcp"
+    endpoint = f"{protocol}/127.0.0.1:{free_port()}"
+    settings["listen"]["endpoints"] = [endpoint]
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))):
+        yield endpoint
+
+
+def member(credentials: Credentials, endpoint: str) -> dict[str, Any]:
+    return {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": 3000,
+        **credentials.options(),
+    }
+
+
+@pytest.fixture(params=["tls", "password"])
+def auth(request: pytest.FixtureRequest) -> Auth:
+    kind: Auth = request.param
+    return kind
+
+
+@pytest.fixture
+def site(tmp_path: Path, auth: Auth) -> Site:
+    made = create(tmp_path / "keys", "hall3", ["127.0.0.1"], auth=auth)
+    made.add_robot("amr7", 30)
+    made.add_robot("amr8", 30)
+    made.add_controller("main", 30, commands=True)
+    made.add_controller("board", 30, commands=False)
+    return made
+
+
+def test_robots_speak_for_themselves_only_and_controllers_hear_them(
+    tmp_path: Path, site: Site, auth: Auth
+) -> None:
+    keys = tmp_path / "keys"
+    with router(site, auth) as endpoint:
+        settings = ZenohSettings(listen=(), connect=(endpoint,), keys=keys / "robots/amr7")
+        with (
+            FleetListener(endpoint, keys=keys / "fleet/board") as fleet,
+            RobotPublisher(settings, "amr7") as robot,
+            session(member(read_credentials(keys / "robots/amr8"), endpoint)) as forger,
+        ):
+            assert fleet.wait_for(lambda views: "amr7" in views, DEADLINE_S)
+            token = forger.liveliness().declare_token("amr/amr7/alive")
+            forged = pose_of(seq=99, robot="amr7").encode()
+            heard = []
+
+            def true_pose_comes() -> bool:
+                forger.put("amr/amr7/pose", forged)
+                robot.publish_pose(pose_of(seq=1))
+                pose = fleet.next_pose(0.05)
+                if pose is not None:
+                    heard.append(pose.seq)
+                return len(heard) >= 20
+
+            until(true_pose_comes)
+            assert set(heard) == {1}
+            token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub leaves the result open
+
+
+def test_only_named_controllers_command(tmp_path: Path, site: Site, auth: Auth) -> None:
+    keys = tmp_path / "keys"
+    called: list[str] = []
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            called.append(str(query.key_expr))
+            query.reply(query.key_expr, b"done")
+
+    with (
+        router(site, auth) as endpoint,
+        session(member(read_credentials(keys / "robots/amr7"), endpoint)) as robot,
+    ):
+        robot.declare_queryable("amr/amr7/cmd/relocalize", answer)
+        robot.declare_queryable("amr/amr7/pose", answer)
+
+        def replies(who: str, key: str) -> int:
+            with session(member(read_credentials(keys / who), endpoint)) as asker:
+                # What is refused is not answered at all: a short time-out tells as much.
+                return sum(reply.ok is not None for reply in asker.get(key, timeout=1.0))
+
+        until(lambda: replies("fleet/main", "amr/amr7/cmd/relocalize") == 1)
+        assert replies("fleet/board", "amr/amr7/pose") == 1
+        called.clear()
+        assert replies("fleet/board", "amr/amr7/cmd/relocalize") == 0
+        assert replies("robots/amr8", "amr/amr7/cmd/relocalize") == 0
+        assert called == []
+
+
+def test_strangers_are_not_let_in(tmp_path: Path, site: Site, auth: Auth) -> None:
+    other = create(tmp_path / "other", "hall4", ["127.0.0.1"], auth=auth)
+    other.add_robot("amr7", 30)
+    other.add_controller("main", 30, commands=True)
+    with router(site, auth) as endpoint:
+        for keys in (tmp_path / "other/fleet/main", None):
+            with pytest.raises(PublishingError):
+                FleetListener(endpoint, keys=keys, connect_timeout_s=2.0)
+
+
+def test_the_revoked_are_not_heard_any_more(tmp_path: Path, site: Site, auth: Auth) -> None:
+    kept = tmp_path / "stolen"
+    (tmp_path / "keys/robots/amr7").rename(kept)
+    with pytest.raises(KeysError, match="no robot is named 'amr9'"):
+        site.revoke("robot", "amr9")
+    site.revoke("robot", "amr7")
+    with router(load(tmp_path / "keys"), auth) as endpoint:
+        settings = ZenohSettings(listen=(), connect=(endpoint,), keys=kept)
+        trusted = ZenohSettings(listen=(), connect=(endpoint,), keys=tmp_path / "keys/robots/amr8")
+        with (
+            FleetListener(endpoint, keys=tmp_path / "keys/fleet/main") as fleet,
+            RobotPublisher(settings, "amr7") as revoked,
+            RobotPublisher(trusted, "amr8") as robot,
+        ):
+            heard = []
+
+            def both_spoke() -> bool:
+                revoked.publish_pose(pose_of(seq=1, robot="amr7"))
+                robot.publish_pose(pose_of(seq=1, robot="amr8"))
+                pose = fleet.next_pose(0.05)
+                if pose is not None:
+                    heard.append(pose.robot)
+                return len(heard) >= 10
+
+            until(both_spoke)
+            assert set(heard) == {"amr8"}
+
+
+def test_private_files_are_private_and_nothing_is_made_anew(tmp_path: Path) -> None:
+    keys = tmp_path / "keys"
+    create(keys, "hall3", ["10.0.0.1"]).add_robot("amr7", 30)
+    for path in [*keys.rglob("key.pem"), *keys.rglob("login.json")]:
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    before = (keys / "authority/key.pem").read_bytes()
+    with pytest.raises(KeysError, match="is a site's folder already"):
+        create(keys, "hall3", ["10.0.0.1"])
+    assert (keys / "authority/key.pem").read_bytes() == before
+    (robot,) = load(keys).members()
+    assert robot.expires is not None
+    assert expires_soon(robot)
+    assert not expires_soon(robot, datetime.now(UTC) - timedelta(days=31))
+
+
+@pytest.mark.parametrize("name", ["", "../up", "a/b", "*", "a" * 65, "-x"])
+def test_names_that_could_be_anything_else_are_refused(tmp_path: Path, name: str) -> None:
+    site = create(tmp_path / "keys", "hall3", ["10.0.0.1"])
+    with pytest.raises(KeysError, match="letters, digits"):
+        site.add_robot(name, 30)
+    with pytest.raises(KeysError, match="letters, digits"):
+        site.add_controller(name, 30, commands=True)
+
+
+def test_the_command_makes_a_site_and_says_where_its_folders_go(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keys = str(tmp_path / "keys")
+    assert main(["keys", "robot", "amr7", "--dir", keys]) == 1
+    assert "begin with 'amr-slam keys init'" in capsys.readouterr().err
+    assert main(["keys", "init", "--site", "hall3", "--router", "10.0.0.5", "--dir", keys]) == 0
+    assert main(["keys", "robot", "amr7", "--dir", keys]) == 0
+    assert main(["keys", "fleet", "main", "--commands", "--dir", keys]) == 0
+    assert f"copy {keys}/robots/amr7/" in capsys.readouterr().out
+    assert main(["keys", "list", "--dir", keys]) == 0
+    out = capsys.readouterr().out
+    assert "robot amr7: until 20" in out
+    assert "fleet main (commands): until 20" in out
+    assert main(["keys", "revoke", "fleet", "main", "--dir", keys]) == 0
+    (tmp_path / "keys/site.json").write_text("{}")
+    assert main(["keys", "list", "--dir", keys]) == 1
+    assert "site.json" in capsys.readouterr().err
+
+
+def test_a_damaged_authority_is_named_and_signs_nothing(tmp_path: Path) -> None:
+    site = create(tmp_path / "keys", "hall3", ["10.0.0.1"])
+    (tmp_path / "keys/authority/key.pem").write_text("damaged")
+    with pytest.raises(KeysError, match="authority: damaged"):
+        site.add_robot("amr7", 30)
+    assert load(tmp_path / "keys").members() == []
+
+
+def test_a_folder_without_keys_is_named(tmp_path: Path) -> None:
+    with pytest.raises(PublishingError, match=r"ca\.pem: No such file"):
+        RobotPublisher(ZenohSettings(listen=(), keys=tmp_path), "amr7")
+    (tmp_path / "login.json").write_text("[]")
+    with pytest.raises(PublishingError, match="no user and password"):
+        RobotPublisher(ZenohSettings(listen=(), keys=tmp_path), "amr7")
