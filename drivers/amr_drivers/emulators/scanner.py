@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import Literal, Protocol, Self
 
 from amr_slam.geometry import Array
+from amr_slam.simulation import ScannerModel
 
 
 class EmulatedScanner(Protocol):
@@ -68,3 +69,11 @@ class EmulatedScanner(Protocol):
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None: ...
+
+
+class StandIn(EmulatedScanner, Protocol):
+    """An emulated scanner that a simulated world can be put before."""
+
+    @property
+    def optics(self) -> ScannerModel:
+        """How it sees: beams, view, range, rounding and sweep."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import replace
 from types import TracebackType
@@ -15,6 +16,7 @@ from amr_drivers.sick_cola.framing import Dialect, Frame
 from amr_drivers.sick_cola.messages import SCAN, Message, parse_message
 from amr_drivers.sick_cola.settings import Settings
 from amr_slam.geometry import Array
+from amr_slam.simulation import ScannerModel
 
 
 class EmulatedCola:
@@ -81,6 +83,20 @@ class EmulatedCola:
         with self._lock:
             device = self._device
             device.device_name, device.comment, device.dated = name, comment, dated
+
+    @property
+    def optics(self) -> ScannerModel:
+        """See :class:`amr_drivers.emulators.scanner.StandIn`."""
+        model = self._device.model
+        return ScannerModel(
+            beams=model.beams,
+            # 90 degrees of these telegrams are straight ahead.
+            angle_min_rad=math.radians(1e-4 * model.start_angle - 90.0),
+            angle_step_rad=math.radians(model.step_deg),
+            range_max_m=model.range_max_m,
+            quantum_m=0.001 * model.scale,
+            sweep_s=model.sweep_s,
+        )
 
     def measure(self, ranges_m: Array) -> int:
         """A sweep has just ended with these ranges: (beams,) m, inf no return, NaN not measured.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 import time
@@ -26,6 +27,7 @@ from amr_drivers.sick_s300.telegrams import (
     words_from_ranges,
 )
 from amr_slam.geometry import Array
+from amr_slam.simulation import ScannerModel
 
 _HOST: Final = 7
 _GUEST: Final = 8
@@ -51,6 +53,8 @@ class S300Model:
     baud_rate: int = 500_000
     sweep_s: float = 0.030
     """From the first beam to the last."""
+    beams: int = 541
+    field_of_view_deg: float = 270.0
     paced: bool = False
     """Continuous mode: send at the baud rate, not at once. A scan that ends while the last one is
     still on its way is not sent. Answers to requests are always paced."""
@@ -104,6 +108,17 @@ class EmulatedS300:
     def is_sending(self) -> bool:
         """True while a scan is on its way: one that ends meanwhile is not sent."""
         return self._wire is not None and self._wire.is_busy
+
+    @property
+    def optics(self) -> ScannerModel:
+        """See :class:`amr_drivers.emulators.scanner.StandIn`."""
+        view_rad = math.radians(self._model.field_of_view_deg)
+        return ScannerModel(
+            beams=self._model.beams,
+            angle_min_rad=-0.5 * view_rad,
+            angle_step_rad=view_rad / (self._model.beams - 1),
+            sweep_s=self._model.sweep_s,
+        )
 
     def measure(self, ranges_m: Array) -> int:
         """See :meth:`amr_drivers.emulators.scanner.EmulatedScanner.measure`. Never blocks."""

@@ -23,6 +23,8 @@ def emulate(settings: Settings) -> EmulatedS300:
         address=7 if settings.device_address == "host" else 8,
         baud_rate=settings.baud_rate,
         sweep_s=settings.sweep_s,
+        beams=settings.beams,
+        field_of_view_deg=settings.field_of_view_deg,
         paced=True,
     )
     return EmulatedS300(_line(settings.port), model)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 import threading
 from dataclasses import replace
@@ -18,6 +19,7 @@ from amr_drivers.sick_safety.datagrams import fragments
 from amr_drivers.sick_safety.settings import Settings
 from amr_drivers.sick_safety.variables import CHANNELS, LATEST_TELEGRAM
 from amr_slam.geometry import Array
+from amr_slam.simulation import ScannerModel
 
 _DATAGRAM: Final = 1460
 
@@ -106,6 +108,20 @@ class EmulatedSafety:
         """All have been idle for too long."""
         with self._lock:
             self._device.sessions.clear()
+
+    @property
+    def optics(self) -> ScannerModel:
+        """See :class:`amr_drivers.emulators.scanner.StandIn`."""
+        derived = self._device.model.derived
+        return ScannerModel(
+            beams=derived.beams,
+            # 90 degrees of these telegrams are straight ahead.
+            angle_min_rad=math.radians(derived.start_deg - 90.0),
+            angle_step_rad=math.radians(derived.step_deg),
+            range_max_m=40.0,
+            quantum_m=0.001,
+            sweep_s=1e-6 * derived.interbeam_us * (derived.beams - 1),
+        )
 
     def measure(self, ranges_m: Array) -> int:
         """A sweep has just ended with these ranges: (beams,) m, inf no return, NaN not measured.
