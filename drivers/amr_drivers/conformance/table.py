@@ -18,6 +18,7 @@ from amr_drivers.conformance.rig import MakeRig
 _RIGS: Final = (
     "amr_drivers.conformance.rigs.sick_cola:rigs",
     "amr_drivers.conformance.rigs.sick_s300:rigs",
+    "amr_drivers.conformance.rigs.sick_safety:rigs",
 )
 _GROUP: Final = "amr_slam.rigs"
 
