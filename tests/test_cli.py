@@ -481,19 +481,22 @@ def test_run_and_check_hand_over_to_the_service(
 
 
 def test_watch_asks_whom_it_is_told_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[tuple[str, list[str]]] = []
+    seen: list[tuple[str, list[str], Path | None]] = []
 
-    def watch(endpoint: str, robots: list[str]) -> None:
-        seen.append((endpoint, robots))
+    def watch(endpoint: str, robots: list[str], *, keys: Path | None) -> None:
+        seen.append((endpoint, robots, keys))
         if robots:
             raise PublishingError(f"nobody at {endpoint}")
 
     monkeypatch.setattr(fleet, "watch", watch)
     assert amr_slam("watch").status == 0
-    done = amr_slam("watch", "--connect", "tcp/10.0.0.7:7447", "amr7", "amr8")
+    done = amr_slam("watch", "--connect", "tcp/10.0.0.7:7447", "--keys", "k", "amr7", "amr8")
     assert done.status == 1
     assert error_line(done) == "nobody at tcp/10.0.0.7:7447"
-    assert seen == [(DEFAULT_ENDPOINT, []), ("tcp/10.0.0.7:7447", ["amr7", "amr8"])]
+    assert seen == [
+        (DEFAULT_ENDPOINT, [], None),
+        ("tcp/10.0.0.7:7447", ["amr7", "amr8"], Path("k")),
+    ]
 
 
 # -- refusals ----------------------------------------------------------------------------------

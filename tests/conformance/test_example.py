@@ -64,7 +64,7 @@ def test_the_command_runs_a_rig_by_module_and_function(tmp_path: Path) -> None:
 
 
 def test_names_that_are_no_rigs_are_one_clear_error() -> None:
-    with pytest.raises(ValueError, match="no rig is named 'sock'; known are sick_s300"):
+    with pytest.raises(ValueError, match="no rig is named 'sock'; known are sick_cola"):
         table.rigs_named(["sock"])
     with pytest.raises(ValueError, match="rigs 'acme_lidar:rigs' cannot be loaded"):
         table.rigs_named(["acme_lidar:rigs"])
