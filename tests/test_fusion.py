@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amr_slam.fusion import FilterParams, PoseFilter, error95_m
+from amr_slam.fusion import CalibrationParams, FilterParams, PoseFilter, error95_m
 from amr_slam.fusion.ekf import Ekf
 from amr_slam.fusion.trail import Trail
 from amr_slam.geometry import Array, Pose2, wrap_angle
@@ -20,7 +20,12 @@ S = 1_000_000_000
 STEP_NS = 100_000_000
 SIGMA = np.array([0.015, 0.015, 0.005])
 R = np.diag(SIGMA**2)
-PLAIN = FilterParams(fix_inflation=1.0)
+PLAIN = FilterParams(
+    fix_inflation=1.0,
+    map_error_m=0.0,
+    map_error_rad=0.0,
+    calibration=CalibrationParams(learn=False),
+)
 DRIVE = DifferentialDrive(radius_left_m=0.1, radius_right_m=0.1, track_m=0.5)
 
 
@@ -187,8 +192,13 @@ def test_the_gate_is_on_the_squared_distance(d2: float, outcome: Outcome, axis: 
             fused.map_from_base.as_array(), before.as_array(), rtol=0, atol=1e-12
         )
     else:
-        scale = max(1.0, d2 / 16.27) if outcome is Outcome.INFLATED else 1.0
-        gain = prior[1] @ np.linalg.inv(prior[1] + scale * R)
+        P, scale = prior[1], 1.0
+        if outcome is Outcome.INFLATED:  # the wheels slipped, or the fix is poor: half and half
+            motion = fused.motion_between(0, at_ns)
+            assert motion is not None
+            turn = Pose2(0.0, 0.0, prior[0].theta_rad).adjoint()
+            P, scale = P + 100.0 * turn @ motion.covariance @ turn.T, d2 / 16.27
+        gain = P @ np.linalg.inv(P + scale * R)
         moved = pose_at(fused, at_ns).as_array() - prior[0].as_array()
         np.testing.assert_allclose(moved, gain @ offset, atol=1e-12)
 
@@ -404,7 +414,8 @@ def test_motions_between_instants_compose_and_reverse() -> None:
     np.testing.assert_allclose((ab.delta @ bc.delta).as_array(), ac.delta.as_array(), atol=1e-12)
     carry = bc.delta.inverse().adjoint()
     composed = carry @ ab.covariance @ carry.T + bc.covariance
-    np.testing.assert_allclose(composed, ac.covariance, atol=1e-15, rtol=1e-9)
+    # Where a question cuts a step, its noise is shared by time: exact to a thousandth.
+    np.testing.assert_allclose(composed, ac.covariance, atol=1e-7, rtol=2e-3)
     back = fused.motion_between(c, a)
     assert back is not None
     np.testing.assert_allclose((ac.delta @ back.delta).as_array(), np.zeros(3), atol=1e-12)

@@ -407,6 +407,8 @@ def test_a_late_fix_corrects_the_pose_of_now() -> None:
     rig.drive(2.0, 0.3, 0.4)
     off = Pose2(then.x_m + 0.02, then.y_m, then.theta_rad)
     assert rig.answer(off, stamp_ns=then_ns, covariance=0.1 * SURE) is Outcome.ACCEPTED
+    assert rig.off_m < 1e-9  # not at once
+    rig.drive(0.3, 0.3, 0.4)
     moved = rig.estimate.map_from_base
     assert 0.005 < moved.x_m - rig.truth.x_m < 0.025
     assert abs(moved.y_m - rig.truth.y_m) < 0.005
