@@ -18,7 +18,7 @@ from amr_slam.agreement import AGREE_D2, agreement_d2, moved
 from amr_slam.clouds import CloudParams
 from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
-from amr_slam.fusion import Calibration, Easing, FilterParams, PoseFilter, error95_m
+from amr_slam.fusion import Calibration, Easing, FilterParams, PoseFilter, Slip, error95_m
 from amr_slam.geometry import Array, Pose2
 from amr_slam.hypotheses import Hypotheses
 from amr_slam.odometry import Odometry
@@ -257,7 +257,24 @@ class Localizer:
         )
         if len(self._agreeing) < needed:
             return Outcome.GATED
+        self._note_lies(fix)
         return self._jump(fix)
+
+    def _note_lies(self, fix: SlamPose) -> None:
+        """Scans that agree with one another have outvoted the wheels."""
+        assert self._filter is not None
+        expected = self._filter.pose_at(fix.stamp_ns)
+        since_ns = self._filter.stamp_ns - round(1e9 * self._filter.since_fix_s)
+        if expected is not None:
+            error = expected[0].inverse() @ fix.map_from_base
+            slip = Slip(
+                stamp_ns=fix.stamp_ns,
+                since_ns=since_ns,
+                forward_m=error.x_m,
+                left_m=error.y_m,
+                turn_rad=error.theta_rad,
+            )
+            self._events.note(slip, self._filter.motion_between(since_ns, fix.stamp_ns))
 
     def _jump(self, fix: SlamPose) -> Outcome:
         assert self._filter is not None

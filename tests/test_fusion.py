@@ -278,8 +278,8 @@ def test_no_correction_goes_below_the_floor_in_any_direction() -> None:
         covariance = 0.5 * (thin + thin.T)
         assert fused.correct(fix(fused.stamp_ns, fused.map_from_base, covariance)) is accepted
     variances = np.linalg.eigvalsh(fused.covariance[:2, :2])
-    assert variances[0] >= 0.005**2 * (1.0 - 1e-9)
-    assert fused.covariance[2, 2] >= math.radians(0.1) ** 2 * (1.0 - 1e-9)
+    assert variances[0] >= PLAIN.floor_xy_m**2 * (1.0 - 1e-9)
+    assert fused.covariance[2, 2] >= PLAIN.floor_yaw_rad**2 * (1.0 - 1e-9)
 
 
 # -- any order of arrival

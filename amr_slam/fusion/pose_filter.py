@@ -361,8 +361,14 @@ class PoseFilter:
 
     def _advanced(self, state: _State, stamp_ns: int) -> _State:
         """Predicted over the composed wheel motion."""
-        x, P = self._ekf.predicted(state.x, state.P, self._composed(state, stamp_ns))
-        return replace(state, stamp_ns=stamp_ns, x=x, P=P)
+        return self._after(state, stamp_ns, self._composed(state, stamp_ns))
+
+    def _after(self, state: _State, stamp_ns: int, motion: Composed) -> _State:
+        x, P = self._ekf.predicted(state.x, state.P, motion)
+        carry = np.eye(3)
+        carry[:2, 2] = state.x[1] - x[1], x[0] - state.x[0]
+        doubt = carry @ state.doubt @ carry.T
+        return replace(state, stamp_ns=stamp_ns, x=x, P=P, doubt=doubt)
 
     def _absorb_from(self, first: int) -> None:
         """Weigh and absorb the fixes from the given one on, in the order of their stamps."""
@@ -376,20 +382,27 @@ class PoseFilter:
         """The state after a fix, or without it when it is refused. The one place that catches
         numbers gone wrong: the filter goes on from its last good state."""
         motion = self._composed(last, fix.stamp_ns)
-        x, P = self._ekf.predicted(last.x, last.P, motion)
-        prior = replace(last, stamp_ns=fix.stamp_ns, x=x, P=P)
+        prior = self._after(last, fix.stamp_ns, motion)
+        x, P = prior.x, prior.P
         z, R = fix.map_from_base.as_array(), self.params.fix_inflation * fix.covariance
         y = residual(z, seen(x))
         d2 = float(y @ np.linalg.solve(MEASURED @ P @ MEASURED.T + R, y))
         outcome, slip, distrust = Outcome.ACCEPTED, None, max(1.0, last.distrust / _FORGIVEN)
+        error = missed(Pose2.from_array(seen(x)), fix.map_from_base)
+        if last.refused is not None:  # what looked like a wrong fix was the wheels' fault, or not
+            slip = told(last.fix_ns, fix.stamp_ns, error)
         if d2 > self.params.gate_d2:
-            error = missed(Pose2.from_array(seen(x)), fix.map_from_base)
             P_slipped = self._slipped(prior, motion, fix, d2)
             if P_slipped is None:
                 # Half and half: the wheels slipped, or the fix is wrong. The pose stays.
                 plausible = explicable(error, motion) is not None
                 either = 0.5 * np.outer(y, y) if plausible else _no_doubt()
-                refused = replace(prior, refused=(fix, motion), doubt=prior.doubt + either)
+                refused = replace(
+                    prior,
+                    refused=(fix, motion),
+                    doubt=prior.doubt + either,
+                    distrust=self.params.slip_factor if plausible else prior.distrust,
+                )
                 return refused, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.GATED)
             P, R = P_slipped, R * min(d2, self.params.gate_d2_inflated) / self.params.gate_d2
             outcome, distrust = Outcome.INFLATED, self.params.slip_factor

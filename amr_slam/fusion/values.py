@@ -39,7 +39,7 @@ class CalibrationParams:
     """Of the time in s by which the wheels' stamps are later than the scans'."""
     lag_limit_s: Annotated[float, Ge(0)] = 0.25
     """Its bound in s."""
-    memory_m: Annotated[float, Gt(0)] = 2000.0
+    memory_m: Annotated[float, Gt(0)] = 10000.0
     """Way in m after which the wheels may be others (wear, load, air): what was learned counts no
     more than what was believed before. Nothing is forgotten at a standstill."""
 
@@ -66,8 +66,8 @@ class FilterParams:
     """Up to here (1 - 1e-6) a fix is taken with its covariance scaled by d2 / gate_d2, and the
     wheels are distrusted: after wheel slip good fixes lie outside the gate."""
     slip_factor: Annotated[float, Ge(1)] = 100.0
-    """Factor on the wheels' variance over a way on which they slipped, and less and less so after:
-    it falls to a third with each fix that the wheels agree with."""
+    """Factor on the wheels' variance over a way on which they slipped or seem to, and less and less
+    after: it falls to a third with each fix that the wheels agree with."""
     acceleration_limit_mps2: Annotated[float, Gt(0)] = 3.0
     """No robot speeds up or brakes harder, in m/s2: faster, and the wheels slip."""
     turn_acceleration_limit_radps2: Annotated[float, Gt(0)] = 6.0
@@ -81,9 +81,9 @@ class FilterParams:
     """The same of the heading in rad."""
     map_error_range_m: Annotated[float, Gt(0)] = 5.0
     """Way in m (a turn of a radian counts as one) after which e^-1 of the map's error is left."""
-    floor_xy_m: Annotated[float, Ge(0)] = 0.005
+    floor_xy_m: Annotated[float, Ge(0)] = 0.002
     """No correction makes the position's standard deviation smaller, in m in any direction."""
-    floor_yaw_rad: Annotated[float, Ge(0)] = math.radians(0.1)
+    floor_yaw_rad: Annotated[float, Ge(0)] = math.radians(0.05)
     """No correction makes the heading's standard deviation smaller, in rad."""
     history_s: Annotated[float, Ge(10)] = 10.0
     """How old in s a fix may be: 1.5 times the slowest registration at least."""

@@ -165,8 +165,9 @@ _TEXT: Final = """`error95_m` of the published pose, corrections eased in, again
 over whole runs of 60 to 120 s from the first second on, {runs} runs a row. Wheels: each run draws
 scales, bend and lag from what `fusion.calibration` believes before it has learned anything (5 % of
 the travel, 10 % of turns, 0.03 rad/m, 0.05 s), and noise of 1 % of the root of the way. Fixes:
-every 2 s, 0.2 to 0.8 s old on arrival, with white errors of the claimed covariance (4 mm, 1.5 mrad; one
-scanner: 8 mm along; corridor: 0.5 m along) plus an error of the map (5 mm, 1.5 mrad) that fades
-over 5 m and stays while the robot stands. *No scanner*: no fix from 30 s to 90 s. *Slip*: once a minute
-one wheel spins by 5 to 30 cm within up to a second. NEES is that of the filter's own pose, of three
-degrees of freedom; of 100 runs, 95 % of the means lie in the band if the covariance is true."""
+every 2 s, 0.2 to 0.8 s old on arrival, with white errors of the claimed covariance (4 mm, 1.5 mrad;
+one scanner: 8 mm along; corridor: 0.5 m along) plus an error of the map (5 mm, 1.5 mrad) that fades
+over 5 m and stays while the robot stands. *No scanner*: no fix from 30 s to 90 s. *Slip*: once a
+minute one wheel spins by 5 to 30 cm within up to a second. NEES is that of the filter's own pose,
+of three degrees of freedom; of 100 runs, 95 % of the means lie in the band if the covariance is
+true."""
