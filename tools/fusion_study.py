@@ -49,10 +49,11 @@ def main() -> int:
         if name not in studies:
             parser.error("the recordings need --logs")
         sections.append(studies[name](effort))
+        share = "" if arguments.scale == 1.0 else f" --scale {arguments.scale:g}"
         preface = (
             "How far the published pose is off between scans, whether it knows, and what it does "
-            "when wheels slip or scans fail. Written by `python tools/fusion_study.py --logs FOLDER`"
-            f"{'' if arguments.scale == 1.0 else f' --scale {arguments.scale:g}'}, seed {arguments.seed}; "
+            "when wheels slip or scans fail. Written by "
+            f"`python tools/fusion_study.py --logs FOLDER{share}`, seed {arguments.seed}; "
             f"Python {platform.python_version()}, numpy {np.__version__}; "
             f"{(time.process_time() - begun_s) / 60.0:.0f} min of processor time."
         )

@@ -17,7 +17,7 @@ from amr_slam.fusion.covariance import (
     usable_pose,
 )
 from amr_slam.fusion.ekf import CALIBRATION, MEASURED, POSE, Ekf, residual, seen
-from amr_slam.fusion.slipping import LEAP_NS, explicable, leaps, missed, told
+from amr_slam.fusion.slipping import LEAP_NS, explicable, leaps, missed, suspicious, told
 from amr_slam.fusion.trail import Composed, Trail
 from amr_slam.fusion.values import (
     Calibration,
@@ -35,6 +35,8 @@ _SLACK = 1.25
 _AGREE_D2: Final = 16.27
 # By how much the distrust in wheels that slipped falls with each fix that they agree with.
 _FORGIVEN: Final = 3.0
+# By how much it grows with each further fix that they do not agree with.
+_OUTVOTED: Final = 10.0
 
 
 def _no_doubt() -> Array:
@@ -227,7 +229,7 @@ class PoseFilter:
         """Pose and (3, 3) covariance at a past instant from wheels and fixes up to it.
 
         The prior for a scan. None outside the history; up to ``future_tolerance_s`` ahead of the
-        wheels it is the pose now.
+        wheels these go on as they last went.
         """
         if stamp_ns < self._base.stamp_ns or self._is_future(stamp_ns):
             return None
@@ -394,15 +396,7 @@ class PoseFilter:
         if d2 > self.params.gate_d2:
             P_slipped = self._slipped(prior, motion, fix, d2)
             if P_slipped is None:
-                # Half and half: the wheels slipped, or the fix is wrong. The pose stays.
-                plausible = explicable(error, motion) is not None
-                either = 0.5 * np.outer(y, y) if plausible else _no_doubt()
-                refused = replace(
-                    prior,
-                    refused=(fix, motion),
-                    doubt=prior.doubt + either,
-                    distrust=self.params.slip_factor if plausible else prior.distrust,
-                )
+                refused = self._contradicted(prior, fix, error, y)
                 return refused, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.GATED)
             P, R = P_slipped, R * min(d2, self.params.gate_d2_inflated) / self.params.gate_d2
             outcome, distrust = Outcome.INFLATED, self.params.slip_factor
@@ -419,6 +413,18 @@ class PoseFilter:
             distrust=distrust,
         )
         return posterior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=outcome, slip=slip)
+
+    def _contradicted(self, prior: _State, fix: SlamPose, error: Pose2, y: Array) -> _State:
+        """The state after a fix that was refused. The pose stays; but the wheels may have slipped,
+        and the more fixes in a row say so, the less the wheels count: in the end one is taken."""
+        reported = self._trail.compose(prior.fix_ns, fix.stamp_ns, prior.x[CALIBRATION])
+        doubt, distrust = prior.doubt, prior.distrust
+        if explicable(error, reported) is not None:
+            doubt = doubt + 0.5 * np.outer(y, y)  # half and half
+        if suspicious(error, reported):
+            more = _OUTVOTED * distrust if prior.refused is not None else 1.0
+            distrust = min(max(self.params.slip_factor, more), self.params.slip_factor**2)
+        return replace(prior, refused=(fix, reported), doubt=doubt, distrust=distrust)
 
     def _slipped(self, prior: _State, motion: Composed, fix: SlamPose, d2: float) -> Array | None:
         """The prior's covariance (10, 10) for wheels that slipped; None where the fix alone is no

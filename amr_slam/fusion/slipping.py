@@ -15,6 +15,8 @@ LEAP_NS: Final = 200_000_000
 their stamps."""
 _LEAST_SAMPLES: Final = 8
 # What wheels may miss at most: all of the way they report, a bit of way, and turns to match.
+_WHOLE: Final = 1.1
+_REVERSED: Final = 2.2
 _REACH_M: Final = 0.1
 _REACH_RAD: Final = 0.1
 _TURN_RADPM: Final = 3.0
@@ -35,10 +37,24 @@ def explicable(error: Pose2, reported: Composed) -> Array | None:
     A wheel that spins reports at most a way that the robot did not go, and one that is dragged or
     stands still at most the other wheel's.
     """
-    reach_m = _REACH_M + 1.1 * reported.travel_m
-    reach_rad = _REACH_RAD + _TURN_RADPM * reported.travel_m + reported.turn_rad
-    far = max(abs(error.x_m), abs(error.y_m)) > reach_m or abs(error.theta_rad) > reach_rad
-    return None if far else np.diag([reach_m**2, reach_m**2, reach_rad**2])
+    reach_m, reach_rad = _reach(reported, _WHOLE)
+    if not _within(error, reach_m, reach_rad):
+        return None
+    return np.diag([reach_m**2, reach_m**2, reach_rad**2])
+
+
+def suspicious(error: Pose2, reported: Composed) -> bool:
+    """Whether the wheels may be the ones that lie: they may even have mistaken back for forth."""
+    return _within(error, *_reach(reported, _REVERSED))
+
+
+def _reach(reported: Composed, share: float) -> tuple[float, float]:
+    reach_m = _REACH_M + share * reported.travel_m
+    return reach_m, _REACH_RAD + _TURN_RADPM * reported.travel_m + share * reported.turn_rad
+
+
+def _within(error: Pose2, reach_m: float, reach_rad: float) -> bool:
+    return max(abs(error.x_m), abs(error.y_m)) <= reach_m and abs(error.theta_rad) <= reach_rad
 
 
 def told(since_ns: int, stamp_ns: int, error: Pose2) -> Slip | None:

@@ -93,9 +93,9 @@ class FilterParams:
     """How long in s the last speed is believed without a wheel sample."""
     twist_window_s: Annotated[float, Gt(0)] = 0.1
     """Time in s over which speeds are averaged: one step's quotient is mostly counting noise."""
-    acceleration_mps2: Annotated[float, Ge(0)] = 1.0
+    acceleration_mps2: Annotated[float, Ge(0)] = 0.5
     """Standard deviation in m/s2 of the acceleration not seen while extrapolating."""
-    turn_acceleration_radps2: Annotated[float, Ge(0)] = 2.0
+    turn_acceleration_radps2: Annotated[float, Ge(0)] = 1.0
     """Standard deviation in rad/s2 of the turning acceleration not seen while extrapolating."""
     calibration: CalibrationParams = field(default_factory=CalibrationParams)
     """What is learned of the wheels."""

@@ -32,7 +32,7 @@ from amr_slam.studies.report import Effort, Section, Table
 
 SPEEDS_MPS: Final = (0.3, 1.0, 2.0)
 WHEEL_ERRORS: Final = (0.01, 0.03, 0.10)
-_RUNS: Final = 6
+_RUNS: Final = 3
 
 
 def errors_m(drive: Recording) -> dict[str, list[float]]:
