@@ -37,6 +37,7 @@ check: $(VENV)/.dev                  ## style, types, layers
 
 bench: $(VENV)/.dev                  ## what is measured: side by side, never asserted
 	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/latency.py
 
 $(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
