@@ -242,7 +242,9 @@ class Localizer:
             return self._jump(fix)
         since_fix_s = self._filter.since_fix_s - 1e-9 * (self._filter.stamp_ns - fix.stamp_ns)
         expected = self._filter.pose_at(fix.stamp_ns)
-        if since_fix_s > self._params.outage_s and expected is not None:
+        # A growing map has no place to be found in: what it does not forget must agree first.
+        is_outage = self._mode == "localization" and since_fix_s > self._params.outage_s
+        if is_outage and expected is not None:
             outcome = self._jump(fix)
             self._left = SlamPose(
                 stamp_ns=fix.stamp_ns, map_from_base=expected[0], covariance=expected[1]

@@ -47,7 +47,8 @@ class LocalizerParams:
     """A scan that is not accepted, but fits at the expected pose with so much of its surface, does
     not count towards ``lost``: the place has changed, the robot is where it was thought to be."""
     outage_s: Annotated[float, Gt(0.0)] = 7.0
-    """After so long without a fix the first one that contradicts the wheels is believed."""
+    """Localization: after so long without a fix the first one that contradicts the wheels is
+    believed."""
     slip_told_s: Annotated[float, Ge(0.0)] = 10.0
     """How long in s a slip of the wheels stands in the fault text."""
     easing: EasingParams = field(default_factory=EasingParams)
