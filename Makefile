@@ -40,6 +40,7 @@ check: $(VENV)/.dev                  ## style, types, layers
 bench: $(VENV)/.dev                  ## what is measured: side by side, never asserted
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/scanners.py
+	$(BIN)/python benchmarks/latency.py
 
 $(VENV)/.fuzz: requirements-fuzz.lock $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-fuzz.lock

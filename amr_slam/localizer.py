@@ -20,7 +20,7 @@ from amr_slam.clouds import CloudParams
 from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
 from amr_slam.frozen import FrozenScans
-from amr_slam.fusion import FilterParams, PoseFilter, error95_m
+from amr_slam.fusion import Calibration, Easing, FilterParams, PoseFilter, Slip, error95_m
 from amr_slam.geometry import Array, Pose2
 from amr_slam.hypotheses import Hypotheses
 from amr_slam.mounting import Mounting
@@ -38,6 +38,7 @@ from amr_slam.samples import (
 )
 from amr_slam.suspicions import Suspicions
 from amr_slam.trust import LocalizerParams, fault_of, scanner_fault, too_wide, whole_map
+from amr_slam.wheel_events import WheelEvent, WheelEvents
 
 __all__ = ["Localizer", "LocalizerParams", "Mounting", "Sample"]
 
@@ -79,6 +80,9 @@ class Localizer:
         self._request: SlamRequest | None = None
         self._busy = False
         self._agreeing: list[SlamPose] = []
+        self._left: SlamPose | None = None
+        self._easing = Easing(params.easing)
+        self._events = WheelEvents(odometry)
         self._hypotheses = Hypotheses(params.tracking)
         self._refusals = 0
         self._last_result: SlamResult | None = None
@@ -131,7 +135,11 @@ class Localizer:
         else:
             motion = self._odometry.motion(self._wheels, sample)
         self._wheels = sample
-        return self._filter.predict(motion)
+        outcome = self._filter.predict(motion)
+        leap = self._filter.last_leap
+        if leap is not None and leap.stamp_ns == sample.stamp_ns:
+            self._events.note_leap(leap, self._params.slip_told_s)
+        return outcome
 
     def _handle_scan(self, scan: Scan) -> Outcome:
         scan = self._pairing.on_wheels_clock(scan)
@@ -165,8 +173,16 @@ class Localizer:
         if result.fix is None and result.inserted:
             self._refusals = 0
             return Outcome.ACCEPTED
+        now_ns, epoch = self._filter.stamp_ns, self._filter.epoch
+        shown, _ = self._easing.applied(now_ns, self._filter.map_from_base, self._filter.covariance)
         outcome = self._take_in(result, whole_map(result), self._weakened(result.fix))
+        self._easing.corrected(
+            now_ns, shown, self._filter.map_from_base, is_jump=self._filter.epoch > epoch
+        )
+        self._note_slip(result)
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
+            if outcome is not Outcome.RESET:
+                self._left = None
             self._refusals = 0
             self._agreeing.clear()
             self._hypotheses.clear()
@@ -205,6 +221,14 @@ class Localizer:
         if fix is not None and not from_whole_map and outcome is Outcome.GATED:
             outcome = self._consider_jump(fix)
         return outcome
+
+    def _note_slip(self, result: SlamResult) -> None:
+        assert self._filter is not None
+        innovation = self._filter.last_innovation
+        if innovation is None or innovation.slip is None or innovation.stamp_ns != result.stamp_ns:
+            return
+        slip = innovation.slip
+        self._events.note(slip, self._filter.motion_between(slip.since_ns, slip.stamp_ns))
 
     def _adrift(self, fix: SlamPose) -> bool:
         """Whether the fusion knows so little that agreeing with it proves nothing."""
@@ -245,6 +269,19 @@ class Localizer:
     def _consider_jump(self, fix: SlamPose) -> Outcome:
         """A fix that contradicts the estimate: jump once enough of them agree."""
         assert self._filter is not None
+        if self._left is not None and self._agrees(self._left, fix):
+            # The jump after the outage was to a wrong place.
+            return self._jump(fix)
+        since_fix_s = self._filter.since_fix_s - 1e-9 * (self._filter.stamp_ns - fix.stamp_ns)
+        expected = self._filter.pose_at(fix.stamp_ns)
+        # A growing map has no place to be found in: what it does not forget must agree first.
+        is_outage = self._mode == "localization" and since_fix_s > self._params.outage_s
+        if is_outage and expected is not None:
+            outcome = self._jump(fix)
+            self._left = SlamPose(
+                stamp_ns=fix.stamp_ns, map_from_base=expected[0], covariance=expected[1]
+            )
+            return outcome
         if self._agreeing and not self._agrees(self._agreeing[-1], fix):
             self._agreeing.clear()
         self._agreeing.append(fix)
@@ -254,6 +291,28 @@ class Localizer:
         )
         if len(self._agreeing) < needed:
             return Outcome.GATED
+        self._note_lies(fix)
+        return self._jump(fix)
+
+    def _note_lies(self, fix: SlamPose) -> None:
+        """Scans that agree with one another have outvoted the wheels."""
+        assert self._filter is not None
+        expected = self._filter.pose_at(fix.stamp_ns)
+        since_ns = self._filter.stamp_ns - round(1e9 * self._filter.since_fix_s)
+        if expected is not None:
+            error = expected[0].inverse() @ fix.map_from_base
+            slip = Slip(
+                stamp_ns=fix.stamp_ns,
+                since_ns=since_ns,
+                forward_m=error.x_m,
+                left_m=error.y_m,
+                turn_rad=error.theta_rad,
+            )
+            self._events.note(slip, self._filter.motion_between(since_ns, fix.stamp_ns))
+
+    def _jump(self, fix: SlamPose) -> Outcome:
+        assert self._filter is not None
+        self._left = None
         return self._filter.reset(fix.stamp_ns, fix.map_from_base, fix.covariance)
 
     def _agrees(self, earlier: SlamPose, later: SlamPose) -> bool:
@@ -311,6 +370,16 @@ class Localizer:
         """The fusion; None before the first wheel sample."""
         return self._filter
 
+    @property
+    def calibration(self) -> Calibration | None:
+        """What was learned of the wheels; None before the first wheel sample."""
+        return None if self._filter is None else self._filter.calibration
+
+    @property
+    def wheel_events(self) -> tuple[WheelEvent, ...]:
+        """The last times that wheels and scans disagreed, the newest last."""
+        return self._events.newest
+
     def estimate(self, now_ns: int) -> PoseEstimate | None:
         """The fused pose at ``now_ns`` (or as near to it as the wheels allow) and its worth.
 
@@ -320,7 +389,9 @@ class Localizer:
             return None
         fused = self._filter.estimate_at(now_ns)
         wheel_age_s = 1e-9 * (now_ns - self._wheels.stamp_ns)
-        covariance = fused.covariance
+        shown, covariance = self._easing.applied(
+            fused.stamp_ns, fused.map_from_base, fused.covariance
+        )
         beyond_ns = now_ns - fused.stamp_ns
         if beyond_ns > 0 and wheel_age_s > self._params.wheels_silent_s:
             unseen = self._odometry.silence(fused.stamp_ns, now_ns)
@@ -330,18 +401,20 @@ class Localizer:
         change = self._last_result.change if self._last_result is not None else None
         return PoseEstimate(
             stamp_ns=fused.stamp_ns,
-            map_from_base=fused.map_from_base,
+            map_from_base=shown,
             covariance=covariance,
             odom_from_base=fused.odom_from_base,
             vx_mps=fused.vx_mps,
             omega_radps=fused.omega_radps,
             state=state,
-            epoch=self._filter.epoch,
+            epoch=self._easing.epoch,
+            epoch_delta=self._easing.delta,
             error95_m=error95_m(covariance),
             since_fix_s=since_fix_s,
             since_fix_m=self._filter.since_fix_m,
             wheel_age_s=wheel_age_s,
-            fault=self._fault(now_ns, wheel_age_s),
+            fault=self._fault(now_ns, wheel_age_s)
+            or self._events.fault(now_ns, self._params.slip_told_s),
             candidates=self._candidates(fused.stamp_ns) if state is State.AMBIGUOUS else (),
             explained=None if change is None else change.explained,
         )

@@ -268,6 +268,8 @@ class PoseEstimate:
     """AMBIGUOUS: the places that fit, moved on to ``stamp_ns``, best first, five at most."""
     explained: float | None = None
     """Share of the newest registered scan that lies on the map's walls; None where none was."""
+    epoch_delta: Pose2 | None = None
+    """What x, y and theta jumped by when this epoch began; None in the first one."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance", readonly(self.covariance))

@@ -12,6 +12,7 @@ from annotated_types import Ge, Gt, Le
 
 from amr_slam.engine import SlamResult
 from amr_slam.evidence import Answer, Rung
+from amr_slam.fusion import EasingParams
 from amr_slam.geometry import Array
 from amr_slam.hypotheses import TrackingParams
 
@@ -48,6 +49,13 @@ class LocalizerParams:
     explained_share: Annotated[float, Ge(0.0), Le(1.0)] = 0.5
     """A scan that is not accepted, but fits at the expected pose with so much of its surface, does
     not count towards ``lost``: the place has changed, the robot is where it was thought to be."""
+    outage_s: Annotated[float, Gt(0.0)] = 7.0
+    """Localization: after so long without a fix the first one that contradicts the wheels is
+    believed."""
+    slip_told_s: Annotated[float, Ge(0.0)] = 10.0
+    """How long in s a slip of the wheels stands in the fault text."""
+    easing: EasingParams = field(default_factory=EasingParams)
+    """How corrections enter the published pose."""
     tracking: TrackingParams = field(default_factory=TrackingParams)
     """Places found by a search of the whole map."""
 

@@ -17,8 +17,10 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 from annotated_types import Ge, Gt, Interval, Le, Len
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from amr_slam.fusion import Calibration
 from amr_slam.geometry import Pose2
 from amr_slam.samples import Candidate, Health, PoseEstimate, State
+from amr_slam.wheel_events import WheelEvent
 
 SCHEMA_VERSION: Final = 1
 MAX_MESSAGE_BYTES: Final = 64 * 1024
@@ -29,6 +31,9 @@ infinity, and null would pass as 0 in a careless ``error95_m < 0.1``."""
 
 MAX_CANDIDATES: Final = 5
 """Places that a status message tells at most."""
+
+MAX_SLIPS: Final = 5
+"""Disagreements of wheels and scans that a status message tells at most."""
 
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 """Where a robot listens and a tool on the same machine looks, unless told otherwise."""
@@ -101,6 +106,67 @@ class OdomPose(_Part):
     x: float
     y: float
     theta: Angle
+
+
+class EpochDelta(_Part):
+    """What x, y, theta jumped by, in the map frame: the new pose less the old one."""
+
+    x: float
+    y: float
+    theta: Angle
+
+
+class CalibrationPart(_Part):
+    """What was learned of the wheels while driving; ``..._sigma``: its standard deviation."""
+
+    travel_scale: float
+    """The true travel by the wheels'."""
+    travel_scale_sigma: Annotated[float, Ge(0)]
+    yaw_scale: float
+    """The true turn by the wheels'."""
+    yaw_scale_sigma: Annotated[float, Ge(0)]
+    bend_radpm: float
+    """Turn in rad that the wheels do not see in each metre ahead."""
+    bend_sigma_radpm: Annotated[float, Ge(0)]
+    lag_s: float
+    """By how much the wheels' stamps are later than the scans'."""
+    lag_sigma_s: Annotated[float, Ge(0)]
+
+    @classmethod
+    def of(cls, known: Calibration) -> CalibrationPart:
+        return cls(
+            travel_scale=1.0 + known.travel,
+            travel_scale_sigma=known.travel_sigma,
+            yaw_scale=1.0 + known.yaw,
+            yaw_scale_sigma=known.yaw_sigma,
+            bend_radpm=known.bend_radpm,
+            bend_sigma_radpm=known.bend_sigma_radpm,
+            lag_s=known.lag_s,
+            lag_sigma_s=known.lag_sigma_s,
+        )
+
+
+class SlipPart(_Part):
+    """The wheels were caught lying."""
+
+    stamp: Annotated[float, Ge(0)]
+    """UTC seconds of the scan that showed it."""
+    forward_m: float
+    """So much further ahead did the robot go than its wheels said,"""
+    left_m: float
+    turn_rad: float
+    """and turned so much further to the left."""
+    text: Text
+
+    @classmethod
+    def of(cls, event: WheelEvent, utc_from_monotonic_ns: int) -> SlipPart:
+        return cls(
+            stamp=(event.slip.stamp_ns + utc_from_monotonic_ns) / 1_000_000_000,
+            forward_m=event.slip.forward_m,
+            left_m=event.slip.left_m,
+            turn_rad=event.slip.turn_rad,
+            text=event.text,
+        )
 
 
 class HealthPart(_Part):
@@ -198,6 +264,8 @@ class PoseMessage(_Message):
     since_fix_m: Annotated[float, Ge(0)]
     odom: OdomPose
     fault: Text | None
+    epoch_delta: EpochDelta | None = None
+    """What the pose jumped by when this epoch began; null in the first one."""
 
     @classmethod
     def from_estimate(
@@ -211,7 +279,11 @@ class PoseMessage(_Message):
     ) -> PoseMessage:
         """``utc_from_monotonic_ns`` + the estimate's stamp is UTC in ns. Raises ValueError when
         the pose, its covariance or a speed is not finite: nothing is repaired on the way out."""
-        pose, odom = estimate.map_from_base, estimate.odom_from_base
+        pose, odom, delta = (
+            estimate.map_from_base,
+            estimate.odom_from_base,
+            estimate.epoch_delta,
+        )
         utc_ns = estimate.stamp_ns + utc_from_monotonic_ns
         return cls(
             robot=robot,
@@ -232,6 +304,9 @@ class PoseMessage(_Message):
             since_fix_m=min(estimate.since_fix_m, UNKNOWN),
             odom=OdomPose(x=odom.x_m, y=odom.y_m, theta=odom.theta_rad),
             fault=estimate.fault,
+            epoch_delta=None
+            if delta is None
+            else EpochDelta(x=delta.x_m, y=delta.y_m, theta=delta.theta_rad),
         )
 
     @property
@@ -265,6 +340,10 @@ class StatusMessage(_Message):
     """``ambiguous``: the places that fit, best first, as of the newest pose."""
     explained: Share | None = None
     """Share of the newest registered scan that lies on the map's walls; null before the first."""
+    calibration: CalibrationPart | None = None
+    """What was learned of the wheels; null before the first wheel sample."""
+    slips: Annotated[tuple[SlipPart, ...], Len(0, MAX_SLIPS)] = ()
+    """The last times that wheels and scans disagreed, newest last."""
 
     def health(self) -> Mapping[str, HealthPart]:
         """Every part's health by the name that a technician knows it by."""

@@ -188,7 +188,34 @@ def fusing() -> list[tuple[str, ...]]:
         ("filter: one wheel motion", *_quantiles(predicting, 1e6), "us"),
         ("filter: one delayed fix", *_quantiles(correcting, 1e6), "us"),
         ("filter: the pose to publish", *_quantiles(estimating, 1e6), "us"),
+        ("filter: a fix 8 s old, four later ones absorbed anew", *_replaying(), "us"),
     ]
+
+
+def _replaying() -> tuple[str, str]:
+    """The costliest fix: the oldest that is still taken, before all others."""
+    motions = [
+        Motion(
+            start_ns=(k - 1) * 20_000_000,
+            end_ns=k * 20_000_000,
+            delta=Pose2(0.006, 0.0, 0.001),
+            covariance=np.diag([1e-6, 1e-8, 1e-6]),
+        )
+        for k in range(1, 501)
+    ]
+    covariance = np.diag([1e-4, 1e-4, 1e-5])
+    took: list[float] = []
+    for _ in range(40):
+        state = PoseFilter(FilterParams(), 0, Pose2.identity(), np.diag([1e-4, 1e-4, 1e-4]))
+        truth = {0: Pose2.identity()}
+        for motion in motions:
+            state.predict(motion)
+            truth[motion.end_ns] = truth[motion.start_ns] @ motion.delta
+        stamps = [k * 2_000_000_000 for k in (4, 3, 2, 5)] + [1_000_000_000]
+        for stamp_ns in stamps:
+            fix = SlamPose(stamp_ns=stamp_ns, map_from_base=truth[stamp_ns], covariance=covariance)
+            _timed(took if stamp_ns == stamps[-1] else [], state.correct, fix)
+    return _quantiles(took, 1e6)
 
 
 def growing(scene: Scene) -> list[tuple[str, ...]]:

@@ -34,6 +34,8 @@ POSE_FIELDS = {
     "covariance", "error95_m", "state", "since_fix_s", "since_fix_m", "odom", "fault",
 }  # fmt: skip
 """As contracted."""
+ADDED = {"epoch_delta"}
+"""Since then: absent in messages of earlier versions."""
 MAP_ID = str(uuid.UUID(int=7))
 derandomized = settings(derandomize=True, deadline=None, max_examples=100)
 
@@ -127,7 +129,9 @@ def changed(**changes: object) -> bytes:
 
 
 def test_a_pose_has_the_contracts_fields_and_the_estimates_values() -> None:
-    assert json.loads(message(fault="front LOST").encode()) == {
+    assert json.loads(
+        message(fault="front LOST", epoch_delta=Pose2(0.5, -0.25, 0.125)).encode()
+    ) == {
         "v": 1,
         "robot": "amr7",
         "seq": 41,
@@ -147,8 +151,10 @@ def test_a_pose_has_the_contracts_fields_and_the_estimates_values() -> None:
         "since_fix_m": 0.45,
         "odom": {"x": 0.5, "y": 0.25, "theta": -0.125},
         "fault": "front LOST",
+        "epoch_delta": {"x": 0.5, "y": -0.25, "theta": 0.125},
     }
-    assert set(PoseMessage.model_fields) == POSE_FIELDS
+    assert message().epoch_delta is None
+    assert set(PoseMessage.model_fields) == POSE_FIELDS | ADDED
     assert message().map_from_base == Pose2(1.0, 2.0, 3.0)
 
 
@@ -191,7 +197,7 @@ def test_a_status_has_the_contracts_content() -> None:
 @given(sent=poses)
 def test_poses_come_back_as_they_were(sent: PoseMessage) -> None:
     assert PoseMessage.decode(sent.encode()) == sent
-    assert set(json.loads(sent.encode())) == POSE_FIELDS
+    assert set(json.loads(sent.encode())) == POSE_FIELDS | ADDED
 
 
 @derandomized
@@ -325,7 +331,7 @@ def test_a_status_tells_where_an_ambiguous_robot_may_be() -> None:
 def test_schemas_are_json_and_name_every_field() -> None:
     schemas = json.loads(json.dumps(json_schemas()))
     assert set(schemas) == {"pose", "status"}
-    assert set(schemas["pose"]["properties"]) == POSE_FIELDS
+    assert set(schemas["pose"]["properties"]) == POSE_FIELDS | ADDED
     assert POSE_FIELDS - {"v"} <= set(schemas["pose"]["required"])
     covariance = schemas["pose"]["properties"]["covariance"]
     assert (covariance["minItems"], covariance["maxItems"]) == (9, 9)

@@ -55,6 +55,16 @@ def usable_pose(pose: Pose2) -> bool:
     return abs(pose.x_m) <= _LARGEST and abs(pose.y_m) <= _LARGEST and pose.is_finite()
 
 
+def sound(x: Array, P: Array) -> bool:
+    """Whether a state (n,) and its covariance (n, n) are numbers that can be gone on with."""
+    return (
+        bool(np.isfinite(x).all())
+        and bool(np.abs(P).max() <= _LARGEST)
+        and bool(np.diag(P).min() >= 0.0)
+        and bool(np.linalg.eigvalsh(P[:3, :3])[0] >= 0.0)
+    )
+
+
 def usable_covariance(P: Array, smallest_sigma: float = _SMALLEST_SIGMA) -> bool:
     """Finite, symmetric, no direction more certain than anything measures."""
     return (

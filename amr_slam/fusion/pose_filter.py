@@ -3,42 +3,78 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
 from amr_slam.fusion.covariance import (
     floored,
+    sound,
     symmetric,
     usable_covariance,
     usable_motion,
     usable_pose,
 )
-from amr_slam.fusion.ekf import Ekf, residual
-from amr_slam.fusion.trail import Trail
-from amr_slam.fusion.values import FilterEstimate, FilterParams, Innovation
+from amr_slam.fusion.ekf import CALIBRATION, MEASURED, POSE, Ekf, residual, seen
+from amr_slam.fusion.slipping import LEAP_NS, explicable, leaps, missed, suspicious, told
+from amr_slam.fusion.trail import Composed, Trail
+from amr_slam.fusion.values import (
+    Calibration,
+    FilterEstimate,
+    FilterParams,
+    Innovation,
+    Slip,
+)
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.samples import Motion, Outcome, SlamPose
 
 # The trail may outgrow its length by this factor before it is cut, as cutting costs.
 _SLACK = 1.25
+# Two refused fixes are one place when the wheels' motion carries one onto the other (99.9 %).
+_AGREE_D2: Final = 16.27
+# By how much the distrust in wheels that slipped falls with each fix that they agree with.
+_FORGIVEN: Final = 3.0
+# By how much it grows with each further fix that they do not agree with.
+_OUTVOTED: Final = 10.0
+
+
+def _no_doubt() -> Array:
+    return np.zeros((3, 3))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _State:
-    """A snapshot: x (3,) and P (3, 3), which nobody changes in place, and the last fix in them."""
+    """A snapshot: x (10,) and P (10, 10), which nobody changes in place, the last fix in them, and
+    what the fixes so far say of the wheels."""
 
     stamp_ns: int
     x: Array
     P: Array
     fix_ns: int
     fix_travel_m: float
+    distrust: float = 1.0
+    """Factor on the wheels' variance."""
+    refused: tuple[SlamPose, Composed] | None = None
+    """The last fix where it was refused, with the wheels' motion up to it."""
+    doubt: Array = field(default_factory=_no_doubt)
+    """(3, 3) more covariance while a refused fix may yet turn out to be right."""
+
+    @property
+    def pose(self) -> Pose2:
+        return Pose2.from_array(self.x[POSE])
+
+    @property
+    def covariance(self) -> Array:
+        """(3, 3) read-only, of the pose."""
+        return readonly(self.P[POSE, POSE] + self.doubt)
 
 
 class PoseFilter:
     """The robot's pose in the map, from wheels and delayed fixes. No clock, no thread.
 
-    The pose given at the start counts as its first fix.
+    All instants are the scans': where the wheels' clock was learned to lag behind, the wheels'
+    stamps are put right. The pose given at the start counts as its first fix.
     """
 
     def __init__(
@@ -51,13 +87,14 @@ class PoseFilter:
         if not (usable_pose(map_from_base) and usable_covariance(covariance)):
             raise ValueError("the first pose must be finite, its covariance positive definite")
         self.params = params
-        self._ekf = Ekf()
+        self._ekf = Ekf(params)
         self._trail = Trail(stamp_ns)
         self._odom_from_base = Pose2.identity()
         self._epoch = 0
         self._innovation: Innovation | None = None
         self._now: _State | None = None
-        self._start(stamp_ns, map_from_base, covariance)
+        self._leap: Slip | None = None
+        self._start(stamp_ns, self._ekf.start(map_from_base, covariance))
 
     # -- what comes in
 
@@ -72,10 +109,13 @@ class PoseFilter:
             return Outcome.DUPLICATE if motion.end_ns == newest_ns else Outcome.LATE
         if motion.start_ns != newest_ns or not usable_motion(motion):
             return Outcome.INVALID
-        # Fixes ahead of the wheels were absorbed at the newest sample for want of a better place.
-        ahead = bisect.bisect_right(self._fix_stamps_ns, newest_ns)
+        # Fixes that the wheels had not reached were absorbed by guessing how these would go on.
+        known_ns = newest_ns
         self._trail.append(motion)
-        self._odom_from_base = self._odom_from_base @ motion.delta
+        if not motion.gap and leaps(self._trail, self.params):
+            known_ns = min(known_ns, self._doubt_newest())
+        ahead = bisect.bisect_right(self._fix_stamps_ns, known_ns - self._reach_ns)
+        self._odom_from_base = self._odom_from_base @ self._believed(motion.delta)
         self._absorb_from(ahead)
         self._now = None
         self._trim()
@@ -113,7 +153,10 @@ class PoseFilter:
             return Outcome.LATE
         if self._is_future(stamp_ns):
             return Outcome.FUTURE
-        self._start(min(stamp_ns, self.stamp_ns), map_from_base, covariance)
+        at_ns = min(stamp_ns, self.stamp_ns)
+        before = self._state_at(max(at_ns, self._base.stamp_ns))
+        known = before.x[CALIBRATION], before.P[CALIBRATION, CALIBRATION]
+        self._start(at_ns, self._ekf.start(map_from_base, covariance, known))
         self._epoch += 1
         return Outcome.RESET
 
@@ -127,17 +170,40 @@ class PoseFilter:
     @property
     def map_from_base(self) -> Pose2:
         """The pose now."""
-        return Pose2.from_array(self._current().x)
+        return self._current().pose
 
     @property
     def covariance(self) -> Array:
         """(3, 3) read-only, of (x, y, theta) in the map frame, now."""
-        return readonly(self._current().P)
+        return self._current().covariance
 
     @property
     def odom_from_base(self) -> Pose2:
-        """Wheels alone since the filter was made: drifts, never jumps."""
+        """Wheels alone, as calibrated at each moment, since the filter was made: drifts, never
+        jumps."""
         return self._odom_from_base
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is known of the wheels now."""
+        last = self._last
+        values = last.x[CALIBRATION]
+        sigmas = np.sqrt(np.diag(last.P)[CALIBRATION])
+        return Calibration(
+            travel=float(values[0]),
+            yaw=float(values[1]),
+            bend_radpm=float(values[2]),
+            lag_s=float(values[3]),
+            travel_sigma=float(sigmas[0]),
+            yaw_sigma=float(sigmas[1]),
+            bend_sigma_radpm=float(sigmas[2]),
+            lag_sigma_s=float(sigmas[3]),
+        )
+
+    @property
+    def last_leap(self) -> Slip | None:
+        """The last time that the wheels changed their speed faster than a robot can."""
+        return self._leap
 
     @property
     def epoch(self) -> int:
@@ -163,12 +229,12 @@ class PoseFilter:
         """Pose and (3, 3) covariance at a past instant from wheels and fixes up to it.
 
         The prior for a scan. None outside the history; up to ``future_tolerance_s`` ahead of the
-        wheels it is the pose now.
+        wheels these go on as they last went.
         """
         if stamp_ns < self._base.stamp_ns or self._is_future(stamp_ns):
             return None
         state = self._state_at(stamp_ns)
-        return Pose2.from_array(state.x), readonly(state.P)
+        return state.pose, state.covariance
 
     def motion_between(self, start_ns: int, end_ns: int) -> Motion | None:
         """What the wheels alone say between two instants, either of which may be the earlier.
@@ -177,7 +243,17 @@ class PoseFilter:
         """
         if min(start_ns, end_ns) < self._trail.start_ns or self._is_future(max(start_ns, end_ns)):
             return None
-        return self._trail.between(min(start_ns, self.stamp_ns), min(end_ns, self.stamp_ns))
+        start_ns, end_ns = min(start_ns, self.stamp_ns), min(end_ns, self.stamp_ns)
+        last = self._last
+        composed = self._trail.compose(start_ns, end_ns, last.x[CALIBRATION])
+        J = composed.by_calibration
+        return Motion(
+            start_ns=start_ns,
+            end_ns=end_ns,
+            delta=composed.delta,
+            covariance=symmetric(composed.noise + J @ last.P[CALIBRATION, CALIBRATION] @ J.T),
+            gap=self._trail.has_gap(*sorted((start_ns, end_ns))),
+        )
 
     def estimate_at(self, now_ns: int) -> FilterEstimate:
         """The pose carried on to ``now_ns`` at the last speed, at most ``max_extrapolation_s``.
@@ -187,41 +263,33 @@ class PoseFilter:
         """
         newest_ns = self.stamp_ns
         window_ns = round(1e9 * self.params.twist_window_s)
-        recent = self._trail.between(max(self._trail.start_ns, newest_ns - window_ns), newest_ns)
-        recent_s = 1e-9 * (newest_ns - recent.start_ns)
-        twist = recent.delta.log() / recent_s if recent_s > 0.0 else np.zeros(3)
-        now = self._current()
-        x, P, odom_from_base = now.x, now.P, self._odom_from_base
-        ahead_ns = min(now_ns - newest_ns, round(1e9 * self.params.max_extrapolation_s))
+        since_ns = max(self._trail.start_ns, newest_ns - window_ns)
+        recent_s = 1e-9 * (newest_ns - since_ns)
+        twist = np.zeros(3)
+        if recent_s > 0.0:
+            clocked = self._last.x[CALIBRATION] * np.array([1.0, 1.0, 1.0, 0.0])
+            twist = self._trail.compose(since_ns, newest_ns, clocked).delta.log() / recent_s
+        ahead_ns = max(0, min(now_ns - newest_ns, round(1e9 * self.params.max_extrapolation_s)))
+        state = self._current()
         if ahead_ns > 0:
-            ahead_s = 1e-9 * ahead_ns
-            sigma_m = 0.5 * self.params.acceleration_mps2 * ahead_s**2
-            sigma_rad = 0.5 * self.params.turn_acceleration_radps2 * ahead_s**2
-            rate = recent.covariance / recent_s if recent_s > 0.0 else np.zeros((3, 3))
-            motion = Motion(
-                start_ns=newest_ns,
-                end_ns=newest_ns + ahead_ns,
-                delta=Pose2.exp(ahead_s * twist),
-                covariance=ahead_s * rate + np.diag([sigma_m**2, sigma_m**2, sigma_rad**2]),
-            )
-            x, P = self._ekf.predicted(x, P, motion)
-            odom_from_base = odom_from_base @ motion.delta
+            state = self._advanced(self._last, newest_ns + ahead_ns)
         return FilterEstimate(
-            stamp_ns=newest_ns + max(0, ahead_ns),
-            map_from_base=Pose2.from_array(x),
-            covariance=readonly(P),
-            odom_from_base=odom_from_base,
+            stamp_ns=newest_ns + ahead_ns,
+            map_from_base=state.pose,
+            covariance=state.covariance,
+            odom_from_base=self._odom_from_base @ Pose2.exp(1e-9 * ahead_ns * twist),
             vx_mps=float(twist[0]),
             omega_radps=float(twist[2]),
         )
 
     # -- how
 
-    def _start(self, stamp_ns: int, map_from_base: Pose2, covariance: Array) -> None:
+    def _start(self, stamp_ns: int, begun: tuple[Array, Array]) -> None:
+        x, P = begun
         self._base = _State(
             stamp_ns=stamp_ns,
-            x=map_from_base.as_array(),
-            P=self._floored(covariance),
+            x=x,
+            P=self._floored(P),
             fix_ns=stamp_ns,
             fix_travel_m=self._trail.travelled_m(stamp_ns),
         )
@@ -245,10 +313,36 @@ class PoseFilter:
             return Outcome.DUPLICATE
         return None
 
+    @property
+    def _last(self) -> _State:
+        """The state after the newest fix."""
+        return self._posteriors[-1] if self._posteriors else self._base
+
+    @property
+    def _reach_ns(self) -> int:
+        """How far the wheels' stamps may lie from the scans'."""
+        return round(1e9 * self.params.calibration.lag_limit_s)
+
+    def _believed(self, delta: Pose2) -> Pose2:
+        """One step of the wheels as calibrated now."""
+        travel, yaw, bend, _ = self._last.x[CALIBRATION]
+        if not (travel or yaw or bend):
+            return delta
+        x, y, turn = delta.log()
+        return Pose2.exp([(1.0 + travel) * x, (1.0 + travel) * y, (1.0 + yaw) * turn + bend * x])
+
+    def _doubt_newest(self) -> int:
+        """Faster than physics: the last moment's wheels count for little. Returns its beginning."""
+        since_ns, now_ns = self.stamp_ns - LEAP_NS, self.stamp_ns
+        self._trail.doubt_since(since_ns, self.params.slip_factor)
+        self._leap = Slip(
+            stamp_ns=now_ns, since_ns=since_ns, forward_m=0.0, left_m=0.0, turn_rad=0.0
+        )
+        return since_ns
+
     def _current(self) -> _State:
         if self._now is None:
-            last = self._posteriors[-1] if self._posteriors else self._base
-            self._now = self._advanced(last, self.stamp_ns)
+            self._now = self._advanced(self._last, self.stamp_ns)
         return self._now
 
     def _state_at(self, stamp_ns: int) -> _State:
@@ -256,38 +350,59 @@ class PoseFilter:
         fixes = bisect.bisect_right(self._fix_stamps_ns, stamp_ns)
         return self._advanced(self._posteriors[fixes - 1] if fixes else self._base, stamp_ns)
 
+    def _composed(self, state: _State, stamp_ns: int) -> Composed:
+        """The wheels' motion since a state, under what that state knows of them."""
+        composed = self._trail.compose(state.stamp_ns, stamp_ns, state.x[CALIBRATION])
+        unseen_s = 1e-9 * (stamp_ns - self.stamp_ns) + float(state.x[CALIBRATION][3])
+        noise = composed.noise * state.distrust
+        if unseen_s > 0.0:
+            sigma_m = 0.5 * self.params.acceleration_mps2 * unseen_s**2
+            sigma_rad = 0.5 * self.params.turn_acceleration_radps2 * unseen_s**2
+            noise = noise + np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+        return replace(composed, noise=noise)
+
     def _advanced(self, state: _State, stamp_ns: int) -> _State:
         """Predicted over the composed wheel motion."""
-        newest_ns = self.stamp_ns
-        motion = self._trail.between(min(state.stamp_ns, newest_ns), min(stamp_ns, newest_ns))
+        return self._after(state, stamp_ns, self._composed(state, stamp_ns))
+
+    def _after(self, state: _State, stamp_ns: int, motion: Composed) -> _State:
         x, P = self._ekf.predicted(state.x, state.P, motion)
-        return _State(
-            stamp_ns=stamp_ns, x=x, P=P, fix_ns=state.fix_ns, fix_travel_m=state.fix_travel_m
-        )
+        carry = np.eye(3)
+        carry[:2, 2] = state.x[1] - x[1], x[0] - state.x[0]
+        doubt = carry @ state.doubt @ carry.T
+        return replace(state, stamp_ns=stamp_ns, x=x, P=P, doubt=doubt)
 
     def _absorb_from(self, first: int) -> None:
         """Weigh and absorb the fixes from the given one on, in the order of their stamps."""
         del self._posteriors[first:], self._innovations[first:]
         for fix in self._fixes[first:]:
-            last = self._posteriors[-1] if self._posteriors else self._base
-            posterior, innovation = self._absorbed(self._advanced(last, fix.stamp_ns), fix)
+            posterior, innovation = self._absorbed(self._last, fix)
             self._posteriors.append(posterior)
             self._innovations.append(innovation)
 
-    def _absorbed(self, prior: _State, fix: SlamPose) -> tuple[_State, Innovation]:
-        """The posterior, or the prior again when the fix is refused. The one place that catches
+    def _absorbed(self, last: _State, fix: SlamPose) -> tuple[_State, Innovation]:
+        """The state after a fix, or without it when it is refused. The one place that catches
         numbers gone wrong: the filter goes on from its last good state."""
+        motion = self._composed(last, fix.stamp_ns)
+        prior = self._after(last, fix.stamp_ns, motion)
+        x, P = prior.x, prior.P
         z, R = fix.map_from_base.as_array(), self.params.fix_inflation * fix.covariance
-        y = residual(z, prior.x)
-        d2 = float(y @ np.linalg.solve(prior.P + R, y))
-        if d2 <= self.params.gate_d2:
-            outcome = Outcome.ACCEPTED
-        elif d2 <= self.params.gate_d2_inflated:
-            outcome, R = Outcome.INFLATED, R * (d2 / self.params.gate_d2)
-        else:
-            return prior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.GATED)
-        x, P = self._ekf.updated(prior.x, prior.P, z, R)
-        if not (np.isfinite(x).all() and usable_covariance(P, smallest_sigma=0.0)):
+        y = residual(z, seen(x))
+        d2 = float(y @ np.linalg.solve(MEASURED @ P @ MEASURED.T + R, y))
+        outcome, slip, distrust = Outcome.ACCEPTED, None, max(1.0, last.distrust / _FORGIVEN)
+        error = missed(Pose2.from_array(seen(x)), fix.map_from_base)
+        if last.refused is not None:  # what looked like a wrong fix was the wheels' fault, or not
+            slip = told(last.fix_ns, fix.stamp_ns, error)
+        if d2 > self.params.gate_d2:
+            P_slipped = self._slipped(prior, motion, fix, d2)
+            if P_slipped is None:
+                refused = self._contradicted(prior, fix, error, y)
+                return refused, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.GATED)
+            P, R = P_slipped, R * min(d2, self.params.gate_d2_inflated) / self.params.gate_d2
+            outcome, distrust = Outcome.INFLATED, self.params.slip_factor
+            slip = told(last.fix_ns, fix.stamp_ns, error)
+        x, P = self._ekf.updated(x, P, z, R)
+        if not sound(x, P):
             return prior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.INVALID)
         posterior = _State(
             stamp_ns=fix.stamp_ns,
@@ -295,11 +410,60 @@ class PoseFilter:
             P=self._floored(P),
             fix_ns=fix.stamp_ns,
             fix_travel_m=self._trail.travelled_m(min(fix.stamp_ns, self.stamp_ns)),
+            distrust=distrust,
         )
-        return posterior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=outcome)
+        return posterior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=outcome, slip=slip)
+
+    def _contradicted(self, prior: _State, fix: SlamPose, error: Pose2, y: Array) -> _State:
+        """The state after a fix that was refused. The pose stays; but the wheels may have slipped,
+        and the more fixes in a row say so, the less the wheels count: in the end one is taken."""
+        reported = self._trail.compose(prior.fix_ns, fix.stamp_ns, prior.x[CALIBRATION])
+        doubt, distrust = prior.doubt, prior.distrust
+        if explicable(error, reported) is not None:
+            doubt = doubt + 0.5 * np.outer(y, y)  # half and half
+        if suspicious(error, reported):
+            more = _OUTVOTED * distrust if prior.refused is not None else 1.0
+            distrust = min(max(self.params.slip_factor, more), self.params.slip_factor**2)
+        return replace(prior, refused=(fix, reported), doubt=doubt, distrust=distrust)
+
+    def _slipped(self, prior: _State, motion: Composed, fix: SlamPose, d2: float) -> Array | None:
+        """The prior's covariance (10, 10) for wheels that slipped; None where the fix alone is no
+        reason to believe that."""
+        turned = Pose2(0.0, 0.0, float(prior.x[2])).adjoint()
+        if d2 <= self.params.gate_d2_inflated:
+            return _widened(prior.P, turned, self.params.slip_factor * motion.noise)
+        if prior.refused is None:
+            return None
+        # Two refused fixes that the wheels carry onto each other, off by no more than wheels can
+        # be: they slipped before the first of them.
+        earlier, to_earlier = prior.refused
+        step = self._trail.compose(earlier.stamp_ns, fix.stamp_ns, prior.x[CALIBRATION])
+        expected = earlier.map_from_base @ step.delta
+        apart = residual(fix.map_from_base.as_array(), expected.as_array())
+        turn = Pose2(0.0, 0.0, expected.theta_rad).adjoint()
+        carry = np.eye(3)
+        carry[:2, 2] = (
+            (earlier.map_from_base.y_m - expected.y_m),
+            (expected.x_m - earlier.map_from_base.x_m),
+        )
+        spread = (
+            carry @ earlier.covariance @ carry.T
+            + turn @ step.noise @ turn.T
+            + fix.covariance
+            + self._ekf.map_error
+        )
+        if float(apart @ np.linalg.solve(spread, apart)) > _AGREE_D2:
+            return None
+        error = missed(Pose2.from_array(seen(prior.x)), fix.map_from_base)
+        reach = explicable(error, to_earlier)
+        return None if reach is None else _widened(prior.P, turned, reach)
 
     def _floored(self, P: Array) -> Array:
-        return floored(symmetric(P), self.params.floor_xy_m, self.params.floor_yaw_rad)
+        raised = symmetric(P)
+        raised[POSE, POSE] = floored(
+            raised[POSE, POSE], self.params.floor_xy_m, self.params.floor_yaw_rad
+        )
+        return raised
 
     def _trim(self) -> None:
         """Forget what is older than the history; when depends on the wheels' stamps alone."""
@@ -314,4 +478,12 @@ class PoseFilter:
             gone = bisect.bisect_right(self._fix_stamps_ns, cut_ns)
             del self._fixes[:gone], self._fix_stamps_ns[:gone]
             del self._posteriors[:gone], self._innovations[:gone]
-        self._trail.forget_before(cut_ns)
+        # Wheels whose stamps are early by the lag belong to later instants of the scans.
+        self._trail.forget_before(cut_ns - self._reach_ns)
+
+
+def _widened(P: Array, turned: Array, by: Array) -> Array:
+    """P (10, 10) with (3, 3) more of the pose in the body's frame."""
+    wider = P.copy()
+    wider[POSE, POSE] += turned @ by @ turned.T
+    return symmetric(wider)

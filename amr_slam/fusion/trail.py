@@ -1,43 +1,80 @@
 """The wheels' path over the last seconds: any two instants in it give one composed motion.
 
-Positions and summed noise are kept at each wheel sample in one common frame, so that a query is
-two look-ups and a difference, whatever the number of samples between.
+The steps are kept as the wheels told them and composed anew for each question under the
+calibration that the asker believes in: what is learned today also puts right what was driven
+before the fix that taught it.
 """
 
 from __future__ import annotations
 
-import bisect
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from amr_slam.geometry import Array, Pose2, interpolate
+from amr_slam.geometry import Array, Pose2
 from amr_slam.samples import Motion
+
+NOMINAL: Final = np.zeros(4)
+"""Travel, yaw, bend and lag of wheels that are what their driver says."""
+_ROOM = 256
+_COLUMNS = ("_stamps", "_twists", "_noises", "_sums", "_doubted")
+# Speeds are averages over this time to both sides: one step's quotient is counting noise.
+_HALF_WINDOW_NS = 50_000_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Composed:
+    """One motion out of many steps."""
+
+    delta: Pose2
+    """``start_from_end`` of the base frame."""
+    noise: Array
+    """(3, 3) of the wheels' own noise, in the end's frame (right perturbation)."""
+    by_calibration: Array
+    """(3, 4) derivative of the same perturbation by travel, yaw, bend and lag."""
+    travel_m: float
+    turn_rad: float
+    """Way and turn that the wheels reported, forth and back summed."""
+
+    def reversed(self) -> Composed:
+        """``end_from_start``, as unsure."""
+        carry = self.delta.adjoint()
+        return Composed(
+            delta=self.delta.inverse(),
+            noise=carry @ self.noise @ carry.T,
+            by_calibration=-carry @ self.by_calibration,
+            travel_m=self.travel_m,
+            turn_rad=self.turn_rad,
+        )
 
 
 class Trail:
     """Successive motions of the base frame.
 
-    A motion that a query cuts is cut at constant twist, its covariance in proportion to time. The
-    sum of the noise in a common frame is that of the composed motion to first order, exactly what
-    the EKF would reach stepwise (covariances propagated along the same path).
+    A motion that a question cuts is cut at constant twist, its covariance in proportion to time.
+    Before the first sample the robot stood; after the newest one it goes on as it last went.
     """
 
     def __init__(self, stamp_ns: int) -> None:
-        self._stamps_ns = [stamp_ns]
-        self._trail_from_base = [Pose2.identity()]
-        self._noise: list[Array] = [np.zeros((3, 3))]  # left perturbation: in the trail frame
-        self._travel_m = [0.0]
-        self._gaps = [0]
+        # Row k ends at stamp k; row 0 is the beginning. Sums run from the filter's start.
+        self._stamps = np.full(_ROOM, stamp_ns, dtype=np.int64)
+        self._twists = np.zeros((_ROOM, 3))
+        self._noises = np.zeros((_ROOM, 3, 3))
+        self._sums = np.zeros((_ROOM, 6))  # twist, way, turn, gaps
+        self._doubted = np.zeros(_ROOM, dtype=np.bool_)
+        self._size = 1
 
     @property
     def start_ns(self) -> int:
         """The oldest instant that queries reach."""
-        return self._stamps_ns[0]
+        return int(self._stamps[0])
 
     @property
     def end_ns(self) -> int:
         """The newest wheel sample."""
-        return self._stamps_ns[-1]
+        return int(self._stamps[self._size - 1])
 
     def append(self, motion: Motion) -> None:
         """Add the newest motion. Raises ValueError unless it starts where the trail ends."""
@@ -45,76 +82,202 @@ class Trail:
             raise ValueError(
                 f"motion {motion.start_ns}..{motion.end_ns} ns does not continue {self.end_ns} ns"
             )
-        end = self._trail_from_base[-1] @ motion.delta
-        carry = end.adjoint()
-        self._stamps_ns.append(motion.end_ns)
-        self._trail_from_base.append(end)
-        self._noise.append(self._noise[-1] + carry @ motion.covariance @ carry.T)
-        self._travel_m.append(self._travel_m[-1] + motion.delta.distance_to(Pose2.identity()))
-        self._gaps.append(self._gaps[-1] + motion.gap)
+        row = self._size
+        if row == len(self._stamps):
+            self._grow()
+        twist = motion.delta.log()
+        self._stamps[row], self._twists[row], self._noises[row] = (
+            motion.end_ns,
+            twist,
+            motion.covariance,
+        )
+        self._sums[row] = self._sums[row - 1]
+        self._sums[row, :3] += twist
+        way = motion.delta.distance_to(Pose2.identity())
+        self._sums[row, 3:] += (way, abs(motion.delta.theta_rad), motion.gap)
+        self._size += 1
+
+    def compose(self, start_ns: int, end_ns: int, calibration: Array = NOMINAL) -> Composed:
+        """From one instant of the scans to another, either of which may be the earlier.
+
+        ``calibration``: (4,) as :data:`NOMINAL`; its lag is the way from the scans' stamps to the
+        wheels'.
+        """
+        if end_ns < start_ns:
+            return self.compose(end_ns, start_ns, calibration).reversed()
+        lag_ns = round(1e9 * float(calibration[3]))
+        start_ns, end_ns = start_ns + lag_ns, end_ns + lag_ns
+        twists, noises = self._pieces(start_ns, end_ns)
+        scale = np.array([1.0 + calibration[0], 1.0 + calibration[0], 1.0 + calibration[1]])
+        true = twists * scale
+        true[:, 2] += calibration[2] * twists[:, 0]
+        ends, middles = _chained(true)
+        delta = Pose2.from_array(ends[-1]) if len(ends) else Pose2.identity()
+        to_end = delta.inverse().adjoint()
+        rates = [self._rate(at_ns) * scale for at_ns in (start_ns, end_ns)]
+        by_lag = rates[1] - to_end @ rates[0]
+        change = self._sum_at(end_ns) - self._sum_at(start_ns)
+        return Composed(
+            delta=delta,
+            noise=to_end @ _carried_noise(ends, noises) @ to_end.T,
+            by_calibration=np.column_stack([to_end @ _sensitivity(middles, twists), by_lag]),
+            travel_m=float(change[3]),
+            turn_rad=float(change[4]),
+        )
 
     def between(self, start_ns: int, end_ns: int) -> Motion:
-        """The motion from one instant to another (either may be the earlier).
+        """What the wheels as they are say from one instant to another, on their own clock.
 
-        Raises ValueError outside the trail.
+        Either may be the earlier. Raises ValueError outside the trail.
         """
-        start, start_noise, _ = self._at(start_ns)
-        end, end_noise, _ = self._at(end_ns)
-        carry = end.inverse().adjoint()
-        noise = end_noise - start_noise if end_ns >= start_ns else start_noise - end_noise
+        for stamp_ns in (start_ns, end_ns):
+            if not self.start_ns <= stamp_ns <= self.end_ns:
+                raise ValueError(
+                    f"{stamp_ns} ns is outside the trail {self.start_ns}..{self.end_ns} ns"
+                )
+        composed = self.compose(start_ns, end_ns)
         return Motion(
             start_ns=start_ns,
             end_ns=end_ns,
-            delta=start.inverse() @ end,
-            covariance=carry @ noise @ carry.T,
-            gap=self._gap_between(*sorted((start_ns, end_ns))),
+            delta=composed.delta,
+            covariance=composed.noise,
+            gap=self.has_gap(*sorted((start_ns, end_ns))),
         )
 
-    def travelled_m(self, stamp_ns: int) -> float:
-        """Length of the path up to an instant, since the trail was begun.
+    def has_gap(self, early_ns: int, late_ns: int) -> bool:
+        """Whether the wheels could not tell somewhere between two instants of theirs."""
+        stamps = self._stamps[: self._size]
+        first = max(0, int(np.searchsorted(stamps, early_ns, side="right")) - 1)
+        last = min(self._size - 1, int(np.searchsorted(stamps, late_ns, side="left")))
+        return bool(self._sums[last, 5] > self._sums[first, 5])
 
-        Raises ValueError outside the trail.
-        """
-        return self._at(stamp_ns)[2]
+    def travelled_m(self, stamp_ns: int) -> float:
+        """Length of the way up to an instant, since the trail was begun."""
+        return float(self._sum_at(stamp_ns)[3])
+
+    def twist_rate(self, start_ns: int, end_ns: int) -> Array:
+        """(3,) mean twist per second between two instants of the wheels."""
+        change: Array = (self._sum_at(end_ns) - self._sum_at(start_ns))[:3]
+        return change / (1e-9 * (end_ns - start_ns))
+
+    def samples_since(self, stamp_ns: int) -> int:
+        """Number of wheel samples after an instant."""
+        stamps = self._stamps[: self._size]
+        return self._size - int(np.searchsorted(stamps, stamp_ns, side="right"))
 
     def node_before(self, stamp_ns: int) -> int:
         """Stamp of the last wheel sample at or before an instant, the oldest one at least."""
-        return self._stamps_ns[max(0, bisect.bisect_right(self._stamps_ns, stamp_ns) - 1)]
+        row = int(np.searchsorted(self._stamps[: self._size], stamp_ns, side="right")) - 1
+        return int(self._stamps[max(0, row)])
 
     def forget_before(self, stamp_ns: int) -> None:
-        """Drop what is older than a wheel sample's stamp and move the common frame there.
+        """Drop what is older than the last wheel sample at or before an instant."""
+        cut = int(np.searchsorted(self._stamps[: self._size], stamp_ns, side="right")) - 1
+        if cut <= 0:
+            return
+        for name in _COLUMNS:
+            rows = getattr(self, name)
+            rows[: self._size - cut] = rows[cut : self._size].copy()
+        self._size -= cut
 
-        The frame stays near the robot: far from its origin the differences would lose digits.
-        """
-        cut = bisect.bisect_left(self._stamps_ns, stamp_ns)
-        new_from_trail = self._trail_from_base[cut].inverse()
-        carry = new_from_trail.adjoint()
-        noise = np.stack(self._noise[cut:])
-        self._noise = list(carry @ (noise - noise[0]) @ carry.T)
-        self._trail_from_base = [new_from_trail @ pose for pose in self._trail_from_base[cut:]]
-        del self._stamps_ns[:cut], self._travel_m[:cut], self._gaps[:cut]
+    def doubt_since(self, stamp_ns: int, factor: float) -> None:
+        """Raise the noise of the steps that ended after an instant by a factor, each step once."""
+        first = max(1, int(np.searchsorted(self._stamps[: self._size], stamp_ns, side="right")))
+        fresh = np.flatnonzero(~self._doubted[first : self._size]) + first
+        self._noises[fresh] *= factor
+        self._doubted[fresh] = True
 
-    def _at(self, stamp_ns: int) -> tuple[Pose2, Array, float]:
-        """Pose, summed noise and travel at an instant."""
-        if stamp_ns == self._stamps_ns[-1]:
-            return self._trail_from_base[-1], self._noise[-1], self._travel_m[-1]
-        after = bisect.bisect_right(self._stamps_ns, stamp_ns)
-        if not 0 < after < len(self._stamps_ns):
-            raise ValueError(
-                f"{stamp_ns} ns is outside the trail {self.start_ns}..{self.end_ns} ns"
-            )
+    def _grow(self) -> None:
+        for name in _COLUMNS:
+            rows = getattr(self, name)
+            setattr(self, name, np.concatenate([rows, np.zeros_like(rows)]))
+
+    def _pieces(self, start_ns: int, end_ns: int) -> tuple[Array, Array]:
+        """(n, 3) twists and (n, 3, 3) noises of the steps between two instants of the wheels."""
+        stamps = self._stamps[: self._size]
+        newest_ns = int(stamps[-1])
+        first = int(np.searchsorted(stamps, start_ns, side="right"))
+        last = min(int(np.searchsorted(stamps, end_ns, side="left")), self._size - 1)
+        rows = slice(max(first, 1), last + 1)
+        lows, highs = stamps[rows.start - 1 : last], stamps[rows]
+        cut = np.minimum(highs, end_ns) - np.maximum(lows, start_ns)
+        share = cut / (highs - lows)
+        twists = self._twists[rows] * share[:, None]
+        noises = self._noises[rows] * share[:, None, None]
+        if end_ns > newest_ns and self._size > 1:
+            ahead_s = 1e-9 * (end_ns - max(newest_ns, start_ns))
+            begin_ns = self.node_before(newest_ns - 2 * _HALF_WINDOW_NS)
+            since = int(np.searchsorted(stamps, begin_ns, side="right"))
+            rate = ahead_s / (1e-9 * (newest_ns - begin_ns))
+            twists = np.vstack([twists, rate * self._twists[since : self._size].sum(axis=0)])
+            noise = rate * self._noises[since : self._size].sum(axis=0)
+            noises = np.concatenate([noises, noise[None]])
+        return twists, noises
+
+    def _rate(self, stamp_ns: int) -> Array:
+        """(3,) twist per second about an instant."""
+        early_ns = max(self.start_ns, min(stamp_ns, self.end_ns) - _HALF_WINDOW_NS)
+        late_ns = min(self.end_ns, max(stamp_ns, self.start_ns) + _HALF_WINDOW_NS)
+        if late_ns <= early_ns:
+            return np.zeros(3)
+        return self.twist_rate(early_ns, late_ns)
+
+    def _sum_at(self, stamp_ns: int) -> Array:
+        """(6,) sums up to an instant; the last ones after the newest sample."""
+        stamps = self._stamps[: self._size]
+        after = int(np.searchsorted(stamps, stamp_ns, side="right"))
+        if after in {0, self._size}:
+            total: Array = self._sums[max(after - 1, 0)]
+            return total
         before = after - 1
-        begin_ns = self._stamps_ns[before]
-        if stamp_ns == begin_ns:
-            return self._trail_from_base[before], self._noise[before], self._travel_m[before]
-        share = (stamp_ns - begin_ns) / (self._stamps_ns[after] - begin_ns)
-        return (
-            interpolate(self._trail_from_base[before], self._trail_from_base[after], share),
-            self._noise[before] + share * (self._noise[after] - self._noise[before]),
-            self._travel_m[before] + share * (self._travel_m[after] - self._travel_m[before]),
-        )
+        share = (stamp_ns - stamps[before]) / (stamps[after] - stamps[before])
+        between: Array = self._sums[before] + share * (self._sums[after] - self._sums[before])
+        return between
 
-    def _gap_between(self, early_ns: int, late_ns: int) -> bool:
-        first = bisect.bisect_right(self._stamps_ns, early_ns) - 1
-        last = bisect.bisect_left(self._stamps_ns, late_ns)
-        return self._gaps[last] > self._gaps[first]
+
+def _chained(twists: Array) -> tuple[Array, Array]:
+    """(n, 3) poses at the ends and in the middles of (n, 3) successive twists, from the origin.
+
+    Headings are not wrapped.
+    """
+    turns = twists[:, 2]
+    ends_rad = np.cumsum(turns)
+    starts_rad = ends_rad - turns
+    # The chord of an arc points along its middle and is sinc(half the turn) as long.
+    middles_rad = starts_rad + 0.5 * turns
+    chord = np.sinc(turns / (2.0 * np.pi))
+    c, s = np.cos(middles_rad), np.sin(middles_rad)
+    steps = np.column_stack(
+        [c * twists[:, 0] - s * twists[:, 1], s * twists[:, 0] + c * twists[:, 1]]
+    )
+    steps *= chord[:, None]
+    ends = np.cumsum(steps, axis=0)
+    middles = ends - 0.5 * steps
+    return np.column_stack([ends, ends_rad]), np.column_stack([middles, middles_rad])
+
+
+def _adjoints(poses: Array) -> Array:
+    """(n, 3, 3) of (n, 3) poses."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    found = np.zeros((len(poses), 3, 3))
+    found[:, 0, 0], found[:, 0, 1], found[:, 0, 2] = c, -s, poses[:, 1]
+    found[:, 1, 0], found[:, 1, 1], found[:, 1, 2] = s, c, -poses[:, 0]
+    found[:, 2, 2] = 1.0
+    return found
+
+
+def _carried_noise(ends: Array, noises: NDArray[np.float64]) -> Array:
+    """(3, 3) sum of the steps' noise in the frame of the beginning."""
+    carry = _adjoints(ends)
+    carried = (carry @ noises).transpose(1, 0, 2).reshape(3, -1)
+    total: Array = carried @ carry.transpose(1, 0, 2).reshape(3, -1).T
+    return total
+
+
+def _sensitivity(middles: Array, twists: Array) -> Array:
+    """(3, 3) derivative by travel, yaw and bend in the frame of the beginning: each step's error
+    arises along it, in the mean at its middle."""
+    carry = _adjoints(middles)
+    travel = (carry[:, :, :2] * twists[:, None, :2]).sum(axis=(0, 2))
+    turned, bent = carry[:, :, 2].T @ twists[:, 2], carry[:, :, 2].T @ twists[:, 0]
+    return np.column_stack([travel, turned, bent])

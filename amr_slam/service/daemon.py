@@ -137,6 +137,7 @@ class Daemon:
         wheels_came = any(isinstance(s, DriveSample) for s in samples)
         if self._schedule.takes(now_ns, wheels_came=wheels_came):
             self._reporter.publish_pose(self._localizer.estimate(now_ns))
+        self._reporter.note_wheels(self._localizer.calibration, self._localizer.wheel_events)
         summary = self._reporter.report(now_ns, self._localizer.outcomes)
         self._notify(now_ns, summary)
         if self.signals.wants_saving():

@@ -11,6 +11,7 @@ from os import getpid
 from typing import Final
 
 from amr_slam.config import Config
+from amr_slam.fusion import Calibration
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
@@ -18,7 +19,16 @@ from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
-from amr_slam.wire import CandidatePart, HealthPart, MapPart, PoseMessage, StatusMessage
+from amr_slam.wheel_events import WheelEvent
+from amr_slam.wire import (
+    CalibrationPart,
+    CandidatePart,
+    HealthPart,
+    MapPart,
+    PoseMessage,
+    SlipPart,
+    StatusMessage,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -59,6 +69,12 @@ class Reporter:
         self._candidates: tuple[Candidate, ...] = ()
         self._explained: float | None = None
         self._fault: str | None = None
+        self._calibration: Calibration | None = None
+        self._slips: tuple[WheelEvent, ...] = ()
+
+    def note_wheels(self, known: Calibration | None, slips: tuple[WheelEvent, ...]) -> None:
+        """What the fusion has to say of the wheels, for the next status."""
+        self._calibration, self._slips = known, slips
 
     def publish_pose(self, estimate: PoseEstimate | None) -> None:
         """``None``: no wheel sample came yet, so that there is no pose of any worth."""
@@ -94,6 +110,7 @@ class Reporter:
             active.map_id if active is not None else None,
             self._clock.steps,
             len(self._candidates),
+            self._slips[-1:],
         )
         since_ns = now_ns - self._told_ns
         if since_ns < (_PERIOD_NS if what == self._told else _LEAST_PERIOD_NS):
@@ -137,6 +154,12 @@ class Reporter:
             fault=_joined(self._pose_fault, self._fault),
             candidates=tuple(CandidatePart.of(one) for one in self._candidates),
             explained=self._explained,
+            calibration=None
+            if self._calibration is None
+            else CalibrationPart.of(self._calibration),
+            slips=tuple(
+                SlipPart.of(event, self._clock.utc_from_monotonic_ns) for event in self._slips
+            ),
         )
 
     def _usage_at(self, now_ns: int) -> tuple[float, float]:

@@ -1,0 +1,1 @@
+"""What the fused pose is worth between two scans, and whether it knows."""
