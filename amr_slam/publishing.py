@@ -23,10 +23,12 @@ from typing import Any, Final, Self, TypeVar
 import zenoh
 
 from amr_slam.keys import CredentialsError, read_credentials
+from amr_slam.serving import CommandDesk, MapDesk, Put
 from amr_slam.wire import (
     DEFAULT_ENDPOINT,
     MAX_MESSAGE_BYTES,
     PoseMessage,
+    ScanMessage,
     StatusMessage,
     WireError,
     ZenohSettings,
@@ -152,9 +154,12 @@ class RobotPublisher:
             settings.keys,
         )
         key = partial(robot_key, settings.prefix, robot)
+        self._base = f"{settings.prefix}/{robot}"
+        self._desks: tuple[CommandDesk | MapDesk, ...] = ()
         with _declaring(self._session):
             self._pose = _Topic(self._session, key("pose"), zenoh.Priority.REAL_TIME)
             self._status = _Topic(self._session, key("status"), zenoh.Priority.DATA_LOW)
+            self._scan = _Topic(self._session, key("scan"), zenoh.Priority.BACKGROUND)
             self._alive = self._session.liveliness().declare_token(key("alive"))
 
     def publish_pose(self, message: PoseMessage) -> None:
@@ -163,8 +168,21 @@ class RobotPublisher:
     def publish_status(self, message: StatusMessage) -> None:
         self._status.put(message.encode())
 
+    def publish_scan(self, message: ScanMessage) -> None:
+        self._scan.put(message.encode())
+
+    def serve(self, put: Put) -> None:
+        """From now on, take commands and queries for the map, and have ``put`` do them: it gets
+        an :class:`amr_slam.serving.Asked` on another thread and returns at once."""
+        self._desks = (
+            CommandDesk(self._session, self._base, put),
+            MapDesk(self._session, self._base, put),
+        )
+
     def close(self) -> None:
         """Idempotent. Listeners see the ``alive`` token fall."""
+        for desk in self._desks:
+            desk.close()
         _close(self._session)
 
     def __enter__(self) -> Self:

@@ -27,6 +27,11 @@ UNKNOWN: Final = 1e9
 """Stands for "none yet" in ``since_fix_s``, ``since_fix_m`` and ``error95_m``. JSON has no
 infinity, and null would pass as 0 in a careless ``error95_m < 0.1``."""
 
+MAX_SCAN_POINTS: Final = 1500
+"""Of one scan message: below MAX_MESSAGE_BYTES with millimetres."""
+MAX_COMMAND_BYTES: Final = 4096
+"""Of a command's arguments."""
+
 MAX_CANDIDATES: Final = 5
 """Places that a status message tells at most."""
 
@@ -69,8 +74,23 @@ class ZenohSettings:
     nothing is encrypted, and whoever reaches an endpoint is let in."""
     multicast_scouting: bool = False
     """Find each other by multicast: handy on a desk, noise on a vehicle network."""
+    scan_points: Annotated[int, Interval(ge=0, le=MAX_SCAN_POINTS)] = 360
+    """Points of each registered scan that go out under ``scan``, evenly over what was seen; 0
+    publishes no scans."""
     lease_ms: Annotated[int, Interval(ge=100, le=1000)] = 1000
     """A frozen robot's ``alive`` token falls after this time in ms; at most 1 s (contract)."""
+
+
+def _file_name(name: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}", name):
+        raise ValueError("should be 1 to 64 letters, digits, '_', '-' or '.', no such sign first")
+    return name
+
+
+def _reason(reason: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", reason):
+        raise ValueError("should be 1 to 40 letters, digits, '_' or '-'")
+    return reason
 
 
 def robot_key(prefix: str, robot: str, leaf: str) -> str:
@@ -269,6 +289,109 @@ class StatusMessage(_Message):
     def health(self) -> Mapping[str, HealthPart]:
         """Every part's health by the name that a technician knows it by."""
         return {**self.scanners, "wheels": self.wheels, "slam": self.slam}
+
+
+class ScanMessage(_Message):
+    """``<prefix>/<robot>/scan``: the points of one registered scan, for pictures."""
+
+    kind: ClassVar[str] = "scan"
+    map: Annotated[str, Len(36, 36)] | None
+    epoch: Count
+    points: Annotated[tuple[tuple[float, float], ...], Len(0, MAX_SCAN_POINTS)]
+    """(x, y) in m, in the map frame."""
+
+
+class _Arguments(BaseModel):
+    """Of a command; unlike in messages, what is unknown is refused: it may be a slip."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, strict=True, extra="forbid")
+    command: ClassVar[str]
+
+    @classmethod
+    def decode(cls, payload: bytes) -> Self:
+        """Raises WireError, one line, for anything but these arguments."""
+        if len(payload) > MAX_COMMAND_BYTES:
+            raise WireError(f"{len(payload)} bytes, at most {MAX_COMMAND_BYTES}")
+        try:
+            return cls.model_validate_json(payload or b"{}")
+        except ValidationError as error:
+            first = error.errors(include_url=False, include_input=False)[0]
+            where = ".".join(str(part) for part in first["loc"])
+            raise WireError(f"{where or 'arguments'}: {first['msg']}") from error
+
+
+Coordinate = Annotated[float, Interval(ge=-1e5, le=1e5)]
+MapName = Annotated[str, AfterValidator(_file_name)]
+
+
+class _Pose(_Arguments):
+    x: Coordinate
+    y: Coordinate
+    theta: Angle
+
+
+class ResumePose(_Pose):
+    """The robot is exactly here: taken as is."""
+
+    command: ClassVar[str] = "resume_pose"
+
+
+class SetPose(_Pose):
+    """The robot is about here: searched."""
+
+    command: ClassVar[str] = "set_pose"
+    radius: Annotated[float, Interval(ge=0.1, le=10.0)]
+
+
+class Relocalize(_Arguments):
+    """Forget the pose."""
+
+    command: ClassVar[str] = "relocalize"
+
+
+class StartMapping(_Arguments):
+    """Begin a new map where the robot stands."""
+
+    command: ClassVar[str] = "start_mapping"
+    name: MapName
+
+
+class SaveMap(_Arguments):
+    """Save the active map under a name."""
+
+    command: ClassVar[str] = "save_map"
+    name: MapName
+
+
+class LoadMap(_Arguments):
+    """Localize in a saved map."""
+
+    command: ClassVar[str] = "load_map"
+    name: MapName
+
+
+class SaveRecording(_Arguments):
+    """Save what was recorded last."""
+
+    command: ClassVar[str] = "save_recording"
+    reason: Annotated[str, AfterValidator(_reason)]
+
+
+CommandArguments = (
+    ResumePose | SetPose | Relocalize | StartMapping | SaveMap | LoadMap | SaveRecording
+)
+COMMANDS: Final[Mapping[str, type[CommandArguments]]] = {
+    kind.command: kind
+    for kind in (SetPose, ResumePose, Relocalize, StartMapping, SaveMap, LoadMap, SaveRecording)
+}
+
+
+class CommandReply(BaseModel):
+    """What became of a command; further fields by the command."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False, extra="allow")
+    ok: bool
+    error: Text | None = None
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:

@@ -10,7 +10,11 @@ from importlib.metadata import version
 from os import getpid
 from typing import Final
 
+import numpy as np
+
+from amr_slam.clouds import Cloud
 from amr_slam.config import Config
+from amr_slam.geometry import Pose2
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
@@ -18,7 +22,14 @@ from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
-from amr_slam.wire import CandidatePart, HealthPart, MapPart, PoseMessage, StatusMessage
+from amr_slam.wire import (
+    CandidatePart,
+    HealthPart,
+    MapPart,
+    PoseMessage,
+    ScanMessage,
+    StatusMessage,
+)
 
 _log = logging.getLogger(__name__)
 
@@ -53,7 +64,8 @@ class Reporter:
         self._version = version("amr-slam")
         self._started_ns = self._told_ns = self._looked_ns = time.monotonic_ns()
         self._told: tuple[object, ...] = ()
-        self._poses = self._statuses = 0
+        self._poses = self._statuses = self._scans = 0
+        self._epoch = 0
         self._state = State.STARTING
         self._pose_fault: str | None = None
         self._candidates: tuple[Candidate, ...] = ()
@@ -66,6 +78,7 @@ class Reporter:
             return
         if estimate.state is not self._state:
             _log.info("state: %s, was %s", estimate.state, self._state)
+        self._epoch = estimate.epoch
         self._state, self._pose_fault = estimate.state, estimate.fault
         self._candidates, self._explained = estimate.candidates, estimate.explained
         active = self._worker.active_map
@@ -80,6 +93,25 @@ class Reporter:
         self._publisher.publish_pose(message)
         self._recorder.published(message)
 
+    def publish_scan(self, cloud: Cloud, map_from_base: Pose2) -> None:
+        """The points of a scan that was registered, unless nobody wants any."""
+        most = self._config.zenoh.scan_points
+        if not most:
+            return
+        points = map_from_base @ cloud.take(cloud.even(most)).points_m
+        active = self._worker.active_map
+        self._publisher.publish_scan(
+            ScanMessage(
+                robot=self._config.robot.name,
+                seq=self._scans,
+                stamp=(cloud.stamp_ns + self._clock.utc_from_monotonic_ns) / 1_000_000_000,
+                map=active.map_id if active is not None else None,
+                epoch=self._epoch,
+                points=tuple((x, y) for x, y in np.round(points, 3).tolist()),
+            )
+        )
+        self._scans += 1
+
     def report(self, now_ns: int, outcomes: Mapping[str, int]) -> str | None:
         """Publish the status if it is time to; then one line of it, for systemd."""
         self._clock.follow(now_ns)
@@ -92,6 +124,8 @@ class Reporter:
             self._state,
             tuple(part.link for part in parts.values()),
             active.map_id if active is not None else None,
+            self._worker.mode,
+            self._epoch,
             self._clock.steps,
             len(self._candidates),
         )
@@ -121,7 +155,7 @@ class Reporter:
             seq=self._statuses,
             stamp=(now_ns + self._clock.utc_from_monotonic_ns) / 1e9,
             state=self._state,
-            mode=self._config.map.mode,
+            mode=self._worker.mode,
             map=None
             if active is None
             else MapPart(id=active.map_id, name=active.name, version=active.scans),
