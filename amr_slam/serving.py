@@ -25,26 +25,25 @@ import zenoh
 from amr_slam.map import MapError
 from amr_slam.map.file import identity
 from amr_slam.wire import (
-    COMMANDS,
     MAX_COMMAND_BYTES,
+    MAX_MAP_BYTES,
     SCHEMA_VERSION,
-    CommandArguments,
+    Command,
     CommandReply,
+    MapImage,
     WireError,
+    command_of,
 )
 
 _log = logging.getLogger(__name__)
 
 ANSWER_LIMIT_S: Final = 45.0
 """No command is left without an answer for longer."""
-_MAX_MAP_BYTES: Final = 64 << 20
-"""Larger maps are fetched as files."""
-_RATE_HZ: Final = 1.0
-_BURST: Final = 5
+_RATE_HZ: Final = 2.0
+_BURST: Final = 10
 """So many commands at once, so many a second then: people and controllers need fewer."""
 _CLOSE_S: Final = 0.3
 _MAX_BY: Final = 80
-_MAX_ERROR: Final = 500
 _MAP_QUERIES: Final = 2
 """Of the map and its picture, here at once."""
 
@@ -76,23 +75,22 @@ class MapFile:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MapImage:
+class Picture:
     """A PNG picture of the active map."""
 
     png: bytes
-    georeference: dict[str, Any]
-    """What goes along as the attachment."""
+    georeference: MapImage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Asked:
     """Something for the loop to do. Whoever asks may give up: then the answer is cancelled."""
 
-    request: CommandArguments | MapWanted | ImageWanted
+    request: Command | MapWanted | ImageWanted
     by: str
     """Who, as far as zenoh tells."""
     answer: Future[Any] = field(default_factory=Future)
-    """A command's further reply fields, MapFile or MapImage; or NotDone."""
+    """CommandReply, MapFile or Picture; or NotDone."""
 
     def done(self, result: object) -> None:
         """Answer it; nothing happens where nobody waits any more."""
@@ -207,45 +205,29 @@ class CommandDesk:
         elif not self._desk.enter(lambda: self._perform(query, arguments)):
             self._refuse(query, "another command is under way")
 
-    def _checked(self, query: zenoh.Query) -> CommandArguments:
+    def _checked(self, query: zenoh.Query) -> Command:
         key = str(query.key_expr)
         name = key.removeprefix(f"{self._base}/")
         if name == key or "*" in name or "$" in name:
             raise WireError(f"{key:.200}: a command goes to one robot, by its full key")
-        if name not in COMMANDS:
-            raise WireError(f"unknown command {name:.60}; there are {', '.join(sorted(COMMANDS))}")
         payload = query.payload
-        size = 0 if payload is None else len(payload)
-        if size > MAX_COMMAND_BYTES:
-            raise WireError(f"{name}: {size} bytes, at most {MAX_COMMAND_BYTES}")
-        try:
-            return COMMANDS[name].decode(b"" if payload is None else payload.to_bytes())
-        except WireError as error:
-            raise WireError(f"{name}: {error}") from error
+        if payload is not None and len(payload) > MAX_COMMAND_BYTES:
+            raise WireError(f"{name:.40}: {len(payload)} bytes, at most {MAX_COMMAND_BYTES}")
+        return command_of(name, b"" if payload is None else payload.to_bytes())
 
-    def _perform(self, query: zenoh.Query, arguments: CommandArguments) -> None:
+    def _perform(self, query: zenoh.Query, arguments: Command) -> None:
         """On the desk's thread."""
         by = _asking(query)
-        _log.info("command %s %s, asked by %s", arguments.command, arguments, by)
+        _log.info("command %s %s, asked by %s", arguments.kind, arguments, by)
         try:
-            more = self._desk.ask(Asked(request=arguments, by=by))
-            reply = CommandReply(ok=True, **more)
+            reply: CommandReply = self._desk.ask(Asked(request=arguments, by=by))
         except NotDone as error:
-            reply = CommandReply(ok=False, error=f"{arguments.command}: {error}"[:_MAX_ERROR])
-        _log.info("command %s: %s", arguments.command, reply.error or "done")
-        self._reply(query, reply)
+            reply = CommandReply.refusing(f"{arguments.kind}: {error}")
+        _log.info("command %s: %s", arguments.kind, reply.error or "done")
+        _reply(query, reply)
 
     def _refuse(self, query: zenoh.Query, reason: str) -> None:
-        self._reply(query, CommandReply(ok=False, error=reason[:_MAX_ERROR]))
-
-    def _reply(self, query: zenoh.Query, reply: CommandReply) -> None:
-        payload = reply.model_dump_json().encode()
-        with query:
-            key = str(query.key_expr)
-            if "*" in key:  # no key to reply under
-                query.reply_err(payload, encoding=zenoh.Encoding.APPLICATION_JSON)
-            else:
-                query.reply(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        _reply(query, CommandReply.refusing(reason))
 
 
 class MapDesk:
@@ -287,25 +269,34 @@ class MapDesk:
 
     def _send_image(self, query: zenoh.Query) -> None:
         wanted = ImageWanted(resolution_m=_resolution_m(query.parameters))
-        image: MapImage = self._desk.ask(Asked(request=wanted, by=_asking(query)))
+        image: Picture = self._desk.ask(Asked(request=wanted, by=_asking(query)))
         with query:
             query.reply(
                 self._image_key,
                 image.png,
                 encoding=zenoh.Encoding.IMAGE_PNG,
-                attachment=json.dumps(image.georeference).encode(),
+                attachment=image.georeference.encode(),
             )
+
+
+def _reply(query: zenoh.Query, reply: CommandReply) -> None:
+    with query:
+        key = str(query.key_expr)
+        if "*" in key:  # no key to reply under
+            query.reply_err(reply.encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+        else:
+            query.reply(key, reply.encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
 
 def _read(found: MapFile) -> bytes:
     """Raises NotDone and MapError."""
     try:
         with found.path.open("rb") as stream:
-            data = stream.read(_MAX_MAP_BYTES + 1)
+            data = stream.read(MAX_MAP_BYTES + 1)
     except OSError as error:
         raise NotDone(f"cannot read the map's file: {error.strerror or error}") from error
-    if len(data) > _MAX_MAP_BYTES:
-        raise NotDone(f"the map's file is larger than {_MAX_MAP_BYTES >> 20} MiB: copy it")
+    if len(data) > MAX_MAP_BYTES:
+        raise NotDone(f"the map's file is larger than {MAX_MAP_BYTES >> 20} MiB: copy it")
     if str(identity(data)) != found.map_id:
         raise NotDone("the map's file has been replaced since it was loaded")
     return data
@@ -327,7 +318,7 @@ def _resolution_m(parameters: zenoh.Parameters) -> float | None:
 def _refuse_map(query: zenoh.Query, reason: str) -> None:
     with query:
         query.reply_err(
-            CommandReply(ok=False, error=reason[:_MAX_ERROR]).model_dump_json().encode(),
+            CommandReply.refusing(reason).encode(),
             encoding=zenoh.Encoding.APPLICATION_JSON,
         )
 

@@ -29,6 +29,7 @@ infinity, and null would pass as 0 in a careless ``error95_m < 0.1``."""
 
 MAX_SCAN_POINTS: Final = 1500
 """Of one scan message: below MAX_MESSAGE_BYTES with millimetres."""
+MAX_MAP_BYTES: Final = 64 << 20
 MAX_COMMAND_BYTES: Final = 4096
 """Of a command's arguments."""
 
@@ -305,7 +306,7 @@ class _Arguments(BaseModel):
     """Of a command; unlike in messages, what is unknown is refused: it may be a slip."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False, strict=True, extra="forbid")
-    command: ClassVar[str]
+    kind: ClassVar[str]
 
     @classmethod
     def decode(cls, payload: bytes) -> Self:
@@ -333,65 +334,98 @@ class _Pose(_Arguments):
 class ResumePose(_Pose):
     """The robot is exactly here: taken as is."""
 
-    command: ClassVar[str] = "resume_pose"
+    kind: ClassVar[str] = "resume_pose"
 
 
 class SetPose(_Pose):
     """The robot is about here: searched."""
 
-    command: ClassVar[str] = "set_pose"
-    radius: Annotated[float, Interval(ge=0.1, le=10.0)]
+    kind: ClassVar[str] = "set_pose"
+    radius: Annotated[float, Interval(ge=0.1, le=10000.0)]
 
 
 class Relocalize(_Arguments):
     """Forget the pose."""
 
-    command: ClassVar[str] = "relocalize"
+    kind: ClassVar[str] = "relocalize"
 
 
 class StartMapping(_Arguments):
     """Begin a new map where the robot stands."""
 
-    command: ClassVar[str] = "start_mapping"
+    kind: ClassVar[str] = "start_mapping"
     name: MapName
 
 
 class SaveMap(_Arguments):
     """Save the active map under a name."""
 
-    command: ClassVar[str] = "save_map"
+    kind: ClassVar[str] = "save_map"
     name: MapName
 
 
 class LoadMap(_Arguments):
     """Localize in a saved map."""
 
-    command: ClassVar[str] = "load_map"
+    kind: ClassVar[str] = "load_map"
     name: MapName
 
 
 class SaveRecording(_Arguments):
     """Save what was recorded last."""
 
-    command: ClassVar[str] = "save_recording"
+    kind: ClassVar[str] = "save_recording"
     reason: Annotated[str, AfterValidator(_reason)]
 
 
-CommandArguments = (
-    ResumePose | SetPose | Relocalize | StartMapping | SaveMap | LoadMap | SaveRecording
-)
-COMMANDS: Final[Mapping[str, type[CommandArguments]]] = {
-    kind.command: kind
+Command = ResumePose | SetPose | Relocalize | StartMapping | SaveMap | LoadMap | SaveRecording
+COMMANDS: Final[Mapping[str, type[Command]]] = {
+    kind.kind: kind
     for kind in (SetPose, ResumePose, Relocalize, StartMapping, SaveMap, LoadMap, SaveRecording)
 }
 
 
-class CommandReply(BaseModel):
-    """What became of a command; further fields by the command."""
+class FoundPose(_Part):
+    x: float
+    y: float
+    theta: Angle
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False, extra="allow")
+
+class CommandReply(_Part):
+    """What became of a command."""
+
+    v: Literal[1] = SCHEMA_VERSION
     ok: bool
     error: Text | None = None
+    pose: FoundPose | None = None
+    map: MapPart | None = None
+    file: Text | None = None
+
+    def encode(self) -> bytes:
+        return self.model_dump_json().encode()
+
+    @classmethod
+    def refusing(cls, error: Exception | str) -> CommandReply:
+        return cls(ok=False, error=" ".join(str(error).split())[:500] or "failed")
+
+
+class MapImage(_Part):
+    v: Literal[1] = SCHEMA_VERSION
+    map: Annotated[str, Len(36, 36)]
+    width_px: int
+    height_px: int
+    metres_per_px: float
+    column_of_x0_px: float
+    row_of_y0_px: float
+
+    def encode(self) -> bytes:
+        return self.model_dump_json().encode()
+
+
+def command_of(name: str, payload: bytes) -> Command:
+    if name not in COMMANDS:
+        raise WireError(f"{name:.40}: no such command; there are {', '.join(COMMANDS)}")
+    return COMMANDS[name].decode(payload)
 
 
 def json_schemas() -> dict[str, dict[str, Any]]:

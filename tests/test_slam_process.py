@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -72,7 +73,7 @@ def serving(job: SlamJob) -> Iterator[Line]:
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A thread of the tests may not be slowed down, and compiles what it needs when it does."""
-    monkeypatch.setattr(slam_process.os, "nice", lambda _: 0)
+    monkeypatch.setattr(os, "nice", lambda _: 0)
     monkeypatch.setattr(slam_process, "warm_up", lambda _: None)
 
 

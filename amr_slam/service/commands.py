@@ -6,7 +6,7 @@ import logging
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, assert_never
+from typing import Final, assert_never
 
 import numpy as np
 
@@ -18,11 +18,14 @@ from amr_slam.seeking import Seek
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.tasks import Tasks
 from amr_slam.service.worker import SlamWorker
-from amr_slam.serving import Asked, ImageWanted, MapFile, MapImage, MapWanted
+from amr_slam.serving import Asked, ImageWanted, MapFile, MapWanted, Picture
 from amr_slam.slam_process import Draw, Drawn, SlamJob, Store, Stored, Switch, Switched, TaskAnswer
 from amr_slam.wire import (
-    SCHEMA_VERSION,
+    CommandReply,
+    FoundPose,
     LoadMap,
+    MapImage,
+    MapPart,
     Relocalize,
     ResumePose,
     SaveMap,
@@ -36,6 +39,8 @@ _log = logging.getLogger(__name__)
 _HEADING_RAD: Final = math.radians(60.0)
 """A pose to search around is right in its heading by this much. Halls repeat themselves by half
 and quarter turns: those are told apart by what the person saw."""
+_MOST_RADIUS_M: Final = 10.0
+"""The search in the region takes as long as one in the whole map then."""
 _RESUMED: Final = np.diag([0.25**2, 0.25**2, math.radians(5.0) ** 2])
 """Covariance of a pose that is taken as is: of what was known before the robot was switched off."""
 _SEEK_LIMIT_NS: Final = 20_000_000_000
@@ -102,32 +107,29 @@ class Commands:
         if seek.pose is None:
             asked.not_done(seek.reason or "nothing fits")
         else:
-            asked.done(self._where(seek.pose))
+            asked.done(_at(seek.pose))
 
     # -- poses
 
     def _pose(self, asked: Asked, request: SetPose | ResumePose | Relocalize, now_ns: int) -> None:
         if isinstance(request, Relocalize):
             self._localizer.forget()
-            asked.done({"epoch": self._epoch})
+            asked.done(CommandReply(ok=True))
+            return
+        if isinstance(request, SetPose) and request.radius > _MOST_RADIUS_M:
+            asked.not_done(
+                f"radius: at most {_MOST_RADIUS_M:g} m; relocalize searches the whole map"
+            )
             return
         pose = Pose2(request.x, request.y, request.theta)
         if isinstance(request, ResumePose):
             self._localizer.place(pose, _RESUMED)
-            asked.done(self._where(pose))
+            asked.done(_at(pose))
             return
         region = Region(
             map_from_base=pose, radius_m=request.radius, heading_rad=_HEADING_RAD
         )  # fmt: skip
         self._seeking = asked, self._localizer.seek(region), now_ns + _SEEK_LIMIT_NS
-
-    def _where(self, pose: Pose2) -> dict[str, Any]:
-        return {"x": pose.x_m, "y": pose.y_m, "theta": pose.theta_rad, "epoch": self._epoch}
-
-    @property
-    def _epoch(self) -> int:
-        known = self._localizer.filter
-        return 0 if known is None else known.epoch
 
     # -- maps
 
@@ -165,12 +167,10 @@ class Commands:
         active = self._worker.active_map
         assert active is not None
         asked.done(
-            {
-                "map": active.map_id,
-                "name": active.name,
-                "scans": active.scans,
-                "epoch": self._epoch,
-            }
+            CommandReply(
+                ok=True,
+                map=MapPart(id=active.map_id, name=active.name, version=active.scans),
+            )
         )
 
     def _map(self, asked: Asked) -> None:
@@ -187,17 +187,15 @@ class Commands:
         assert isinstance(answer, Drawn)
         active = self._worker.active_map
         assert active is not None
-        georeference = {
-            "v": SCHEMA_VERSION,
-            "map": active.map_id,
-            "name": active.name,
-            "version": answer.map_scans,
-            "width": answer.columns,
-            "height": answer.rows,
-            "resolution": answer.resolution_m,
-            "origin": {"x": answer.x_min_m, "y": answer.y_min_m},
-        }
-        asked.done(MapImage(png=answer.png, georeference=georeference))
+        georeference = MapImage(
+            map=active.map_id,
+            width_px=answer.columns,
+            height_px=answer.rows,
+            metres_per_px=answer.resolution_m,
+            column_of_x0_px=-answer.x_min_m / answer.resolution_m,
+            row_of_y0_px=answer.rows + answer.y_min_m / answer.resolution_m,
+        )
+        asked.done(Picture(png=answer.png, georeference=georeference))
 
     # -- recordings
 
@@ -206,12 +204,17 @@ class Commands:
         if path is None:
             asked.not_done("nothing is kept, or the last saving still goes on: see the robot's log")
         else:
-            asked.done({"file": path.name})
+            asked.done(CommandReply(ok=True, file=path.name))
+
+
+def _at(pose: Pose2) -> CommandReply:
+    return CommandReply(ok=True, pose=FoundPose(x=pose.x_m, y=pose.y_m, theta=pose.theta_rad))
 
 
 def _stored(asked: Asked, name: str, answer: TaskAnswer) -> None:
     assert isinstance(answer, Stored)
-    asked.done({"name": name, "map": answer.map_id, "scans": answer.map_scans})
+    saved = MapPart(id=answer.map_id, name=name, version=answer.map_scans)
+    asked.done(CommandReply(ok=True, map=saved, file=answer.path.name))
 
 
 def _written(asked: Asked, answer: TaskAnswer) -> None:
