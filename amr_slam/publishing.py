@@ -1,4 +1,5 @@
-"""The robot on the Zenoh network, and whoever listens to robots. The only file that imports zenoh.
+"""The robot on the Zenoh network, and whoever listens to robots. Zenoh is seen here and in
+``serving.py`` only.
 
 A robot is a *peer*: it opens at once with nobody there, serves those who connect to it, and looks
 for its routers in the background for ever. Listeners are *clients*: a client is served both by a
@@ -39,7 +40,9 @@ from amr_slam.wire import (
 _log = logging.getLogger(__name__)
 
 _ENCODING: Final = zenoh.Encoding.APPLICATION_JSON
-_MAX_INBOUND_BYTES: Final = 1 << 20  # zenoh's own default is 1 GiB: anyone could fill the memory
+# Zenoh's own default is 1 GiB: anyone could fill the memory. A robot is sent commands only.
+_MAX_HEARD_BYTES: Final = 1 << 20
+_MAX_ASKED_BYTES: Final = 1 << 17
 _MAX_ROBOTS: Final = 1000  # names come from the network: bounds what a listener remembers
 _QUEUE_BATCHES: Final = 16  # the default of 2 loses poses when the processor is busy
 _HANDSHAKE_MS: Final = 2000  # closing waits for one with a frozen router; zenoh's own is 10 s
@@ -54,12 +57,15 @@ class PublishingError(Exception):
     key. One line."""
 
 
-def _open(options: dict[str, Any], endpoints: Sequence[str], keys: Path | None) -> zenoh.Session:
+def _open(
+    options: dict[str, Any], endpoints: Sequence[str], keys: Path | None, most_bytes: int
+) -> zenoh.Session:
+    """``most_bytes``: of a message that comes in."""
     common: dict[str, Any] = {
         "connect/retry": _RETRY,
         "transport/unicast/open_timeout": _HANDSHAKE_MS,
         "transport/unicast/accept_timeout": _HANDSHAKE_MS,
-        "transport/link/rx/max_message_size": _MAX_INBOUND_BYTES,
+        "transport/link/rx/max_message_size": most_bytes,
         "transport/link/tx/queue/size/real_time": _QUEUE_BATCHES,
         # Messages are small, and a killed process leaves its shared memory behind.
         "transport/shared_memory/enabled": False,
@@ -152,6 +158,7 @@ class RobotPublisher:
             },
             (*settings.listen, *settings.connect),
             settings.keys,
+            _MAX_ASKED_BYTES,
         )
         key = partial(robot_key, settings.prefix, robot)
         self._base = f"{settings.prefix}/{robot}"
@@ -246,6 +253,7 @@ class FleetListener:
             },
             (endpoint,),
             keys,
+            _MAX_HEARD_BYTES,
         )
         with _declaring(self._session):
             for robot in robots or ("*",):

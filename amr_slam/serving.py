@@ -223,7 +223,9 @@ class CommandDesk:
             reply: CommandReply = self._desk.ask(Asked(request=arguments, by=by))
         except NotDone as error:
             reply = CommandReply.refusing(f"{arguments.kind}: {error}")
-        _log.info("command %s: %s", arguments.kind, reply.error or "done")
+            _log.info("%s", reply.error)
+        else:
+            _log.info("%s: done", arguments.kind)
         _reply(query, reply)
 
     def _refuse(self, query: zenoh.Query, reason: str) -> None:
