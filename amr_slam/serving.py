@@ -174,6 +174,8 @@ class _Desk:
         while (work := self._queue.get()) is not None:
             try:
                 work()
+            except zenoh.ZError as error:  # the session closes, or who asked has gone
+                _log.warning("an answer could not be sent: %s", " ".join(str(error).split())[:200])
             finally:
                 self._places.release()
 

@@ -386,6 +386,8 @@ COMMANDS: Final[Mapping[str, type[Command]]] = {
 
 
 class FoundPose(_Part):
+    """Where a command has put the robot."""
+
     x: float
     y: float
     theta: Angle
@@ -410,6 +412,8 @@ class CommandReply(_Part):
 
 
 class MapImage(_Part):
+    """Where the picture of the map lies."""
+
     v: Literal[1] = SCHEMA_VERSION
     map: Annotated[str, Len(36, 36)]
     width_px: int
@@ -423,6 +427,7 @@ class MapImage(_Part):
 
 
 def command_of(name: str, payload: bytes) -> Command:
+    """The command with its arguments. Raises WireError, one line."""
     if name not in COMMANDS:
         raise WireError(f"{name:.40}: no such command; there are {', '.join(COMMANDS)}")
     return COMMANDS[name].decode(payload)

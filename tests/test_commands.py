@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import itertools
 import json
+import os
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -328,4 +330,28 @@ def test_the_map_its_picture_and_the_scans_fit_together(robot: Robot, tmp_path: 
                 refused = controller.get(bad)
                 assert refused.err is not None
                 assert "resolution" in json.loads(refused.err.payload.to_bytes())["error"]
+        assert daemon.stop() == 0
+
+
+def test_a_command_is_answered_when_the_slam_process_dies(robot: Robot, tmp_path: Path) -> None:
+    with Daemon(tmp_path, save_period_s=5.0) as daemon:
+        daemon.listen()
+        daemon.status_when(in_map("hall"), "a map")
+        until(lambda: "saved to" in daemon.log(), "the first save")
+        first = daemon.slam_process()
+        os.kill(first, signal.SIGSTOP)
+        told: list[dict[str, Any]] = []
+        with controlling(daemon) as controller:
+            asking = threading.Thread(
+                target=lambda: told.append(controller.call("save_map", name="copy"))
+            )
+            asking.start()
+            until(lambda: "command save_map" in daemon.log(), "the command is under way")
+            os.kill(first, signal.SIGKILL)
+            asking.join()
+            # It had begun, or waited for the next process.
+            assert told[0]["ok"] or "the SLAM process has ended" in told[0]["error"]
+            daemon.status_when(lambda s: s.slam.link == "OK", "a new process")
+            assert controller.done("save_map", name="copy2")["file"] == "copy2.amrmap"
+        none_was_late(daemon.waiting_poses())
         assert daemon.stop() == 0

@@ -26,11 +26,12 @@ from amr_slam.samples import DriveSample, Outcome, Scan
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.commands import Commands
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+from amr_slam.service.pipe import FromWorker
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.reporting import Reporter
 from amr_slam.service.systemd import Notifier
 from amr_slam.service.tasks import Tasks
-from amr_slam.service.worker import FromWorker, SlamWorker
+from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
 from amr_slam.slam_process import SlamJob
 

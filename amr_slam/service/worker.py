@@ -17,13 +17,13 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final
 
 from amr_slam import slam_process
 from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.samples import Health, Link
+from amr_slam.service.pipe import FromWorker, Outgoing, receive, send
 from amr_slam.slam_process import (
     Declined,
     Drawn,
@@ -50,18 +50,6 @@ _END_S: Final = 0.2
 """What the kernel may take to end a process whose pipe has ended."""
 _FIRST_RETRY_NS: Final = 500_000_000
 _LAST_RETRY_NS: Final = 5_000_000_000
-
-
-_Outgoing = SlamRequest | Task | Stop | None
-_Sent = Ready | Refused | Saved | SlamResult | TaskAnswer
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FromWorker:
-    """What a process sent; None when its pipe has ended."""
-
-    generation: int
-    message: _Sent | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,7 +211,7 @@ class SlamWorker:
         self._killed_for = None
         self._rate_hz = 0.0
         self._deadline_ns = time.monotonic_ns() + _START_LIMIT_NS
-        self._outbox: queue.SimpleQueue[_Outgoing] = queue.SimpleQueue()
+        self._outbox: queue.SimpleQueue[Outgoing] = queue.SimpleQueue()
         self._process: SpawnProcess = context.Process(
             target=slam_process.serve, args=(theirs, self._job), name="slam", daemon=True
         )
@@ -240,9 +228,9 @@ class SlamWorker:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()  # with the last copy in the child, its end is the pipe's end
         # Daemons: a process that hangs must not keep the program from ending.
-        threading.Thread(target=_send, args=(ours, self._outbox), daemon=True).start()
+        threading.Thread(target=send, args=(ours, self._outbox), daemon=True).start()
         self._receiver = threading.Thread(
-            target=_receive, args=(ours, self._sink, self._generation), daemon=True
+            target=receive, args=(ours, self._sink, self._generation), daemon=True
         )
         self._receiver.start()
 
@@ -329,24 +317,3 @@ def _told(exitcode: int | None) -> str:
     if exitcode < 0:
         return f"killed by {signal.Signals(-exitcode).name}"
     return f"ended with exit status {exitcode}"
-
-
-def _send(pipe: Connection, outbox: queue.SimpleQueue[_Outgoing]) -> None:
-    """A thread: waits where a full pipe makes one wait."""
-    while (request := outbox.get()) is not None:
-        try:
-            pipe.send(request)
-        except OSError:
-            return  # told by the receiving end
-
-
-def _receive(pipe: Connection, sink: Callable[[FromWorker], object], generation: int) -> None:
-    """A thread: all that the process sends, then its end."""
-    message: _Sent | None
-    while True:
-        try:
-            message = pipe.recv()
-        except (EOFError, OSError):
-            sink(FromWorker(generation=generation, message=None))
-            return
-        sink(FromWorker(generation=generation, message=message))
