@@ -104,6 +104,9 @@ class Asked:
 
 
 Put = Callable[[Asked], object]
+_Answering = Callable[[], None]
+_Work = Callable[[], _Answering]
+"""Does it; what comes back sends the answer."""
 
 
 class Allowance:
@@ -130,7 +133,7 @@ class _Desk:
         """``places``: queries that are here at once, the one in hand included."""
         self._put = put
         self._places = threading.Semaphore(places)
-        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[_Work | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
         self._asked: Asked | None = None
         self._closed = False
@@ -138,7 +141,7 @@ class _Desk:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
-    def enter(self, work: Callable[[], None]) -> bool:
+    def enter(self, work: _Work) -> bool:
         """Have the thread do it; False when there is no place left. Any thread."""
         if self._closed or not self._places.acquire(blocking=False):
             return False
@@ -173,11 +176,13 @@ class _Desk:
     def _run(self) -> None:
         while (work := self._queue.get()) is not None:
             try:
-                work()
+                answer = work()
+            finally:
+                self._places.release()  # before the answer: who has it may ask again
+            try:
+                answer()
             except zenoh.ZError as error:  # the session closes, or who asked has gone
                 _log.warning("an answer could not be sent: %s", " ".join(str(error).split())[:200])
-            finally:
-                self._places.release()
 
 
 class CommandDesk:
@@ -217,7 +222,7 @@ class CommandDesk:
             raise WireError(f"{name:.40}: {len(payload)} bytes, at most {MAX_COMMAND_BYTES}")
         return command_of(name, b"" if payload is None else payload.to_bytes())
 
-    def _perform(self, query: zenoh.Query, arguments: Command) -> None:
+    def _perform(self, query: zenoh.Query, arguments: Command) -> _Answering:
         """On the desk's thread."""
         by = _asking(query)
         _log.info("command %s %s, asked by %s", arguments.kind, arguments, by)
@@ -228,10 +233,13 @@ class CommandDesk:
             _log.info("%s", reply.error)
         else:
             _log.info("%s: done", arguments.kind)
-        _reply(query, reply)
+        return lambda: _reply(query, reply)
 
     def _refuse(self, query: zenoh.Query, reason: str) -> None:
         _reply(query, CommandReply.refusing(reason))
+
+
+_Finding = Callable[[zenoh.Query], _Answering]
 
 
 class MapDesk:
@@ -241,46 +249,38 @@ class MapDesk:
         self._map_key, self._image_key = f"{base}/map", f"{base}/map/image"
         self._desk = _Desk("maps", put, places=_MAP_QUERIES)
         self._queryables = (
-            session.declare_queryable(self._map_key, partial(self._on_query, self._send_map)),
-            session.declare_queryable(self._image_key, partial(self._on_query, self._send_image)),
+            session.declare_queryable(self._map_key, partial(self._on_query, self._find_map)),
+            session.declare_queryable(self._image_key, partial(self._on_query, self._find_image)),
         )
 
     def close(self) -> None:
         self._desk.close()
 
-    def _on_query(self, send: Callable[[zenoh.Query], None], query: zenoh.Query) -> None:
+    def _on_query(self, find: _Finding, query: zenoh.Query) -> None:
         """On a thread of zenoh's."""
-        if not self._desk.enter(lambda: self._perform(send, query)):
+        if not self._desk.enter(lambda: self._perform(find, query)):
             _refuse_map(query, "busy with the queries before this one: ask again")
 
-    def _perform(self, send: Callable[[zenoh.Query], None], query: zenoh.Query) -> None:
+    def _perform(self, find: _Finding, query: zenoh.Query) -> _Answering:
         try:
-            send(query)
+            return find(query)
         except (NotDone, MapError) as error:
-            _refuse_map(query, str(error))
+            return partial(_refuse_map, query, str(error))
 
-    def _send_map(self, query: zenoh.Query) -> None:
+    def _find_map(self, query: zenoh.Query) -> _Answering:
         found: MapFile = self._desk.ask(Asked(request=MapWanted(), by=_asking(query)))
         data = _read(found)
         attachment = json.dumps({"v": SCHEMA_VERSION, "map": found.map_id}).encode()
-        with query:
-            query.reply(
-                self._map_key,
-                data,
-                encoding=zenoh.Encoding.APPLICATION_OCTET_STREAM.with_schema("amrmap"),
-                attachment=attachment,
-            )
+        encoding = zenoh.Encoding.APPLICATION_OCTET_STREAM.with_schema("amrmap")
+        return partial(_send, query, self._map_key, data, encoding, attachment)
 
-    def _send_image(self, query: zenoh.Query) -> None:
+    def _find_image(self, query: zenoh.Query) -> _Answering:
         wanted = ImageWanted(resolution_m=_resolution_m(query.parameters))
         image: Picture = self._desk.ask(Asked(request=wanted, by=_asking(query)))
-        with query:
-            query.reply(
-                self._image_key,
-                image.png,
-                encoding=zenoh.Encoding.IMAGE_PNG,
-                attachment=image.georeference.encode(),
-            )
+        attachment = image.georeference.encode()
+        return partial(
+            _send, query, self._image_key, image.png, zenoh.Encoding.IMAGE_PNG, attachment
+        )
 
 
 def _reply(query: zenoh.Query, reply: CommandReply) -> None:
@@ -290,6 +290,13 @@ def _reply(query: zenoh.Query, reply: CommandReply) -> None:
             query.reply_err(reply.encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
         else:
             query.reply(key, reply.encode(), encoding=zenoh.Encoding.APPLICATION_JSON)
+
+
+def _send(
+    query: zenoh.Query, key: str, payload: bytes, encoding: zenoh.Encoding, attachment: bytes
+) -> None:
+    with query:
+        query.reply(key, payload, encoding=encoding, attachment=attachment)
 
 
 def _read(found: MapFile) -> bytes:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from labs import cloud_at, corridor, lab, mapped_lab, tour_poses
+from labs import cloud_at, corridor, lab, mapped_lab, room, tour_poses, world_of
 
 from amr_slam.engine import SlamEngine, SlamRequest
 from amr_slam.evidence import Rung, Verdict
@@ -57,6 +57,35 @@ def test_a_place_where_the_robot_is_not_is_refused_with_a_reason(off: Pose2) -> 
     assert answers[-1].reason
 
 
+def two_rooms(box_m: float) -> tuple[PointMap, Pose2]:
+    """A bare room, and 30 m beside it another one of its size with a box in a corner; and where
+    in the second one its twin of the first one's origin lies."""
+    second = Pose2(30.0, 0.0, 0.0)
+    box = [[8 - box_m, 0, 8 - box_m, box_m], [8 - box_m, box_m, 8, box_m]]
+    walls = np.array([*room().segments_m.tolist(), *box])
+    walls[:, ::2] += second.x_m
+    known, rng = PointMap(MapParams()), np.random.default_rng(0)
+    for x_m, y_m in ((2.0, 2.0), (3.0, 4.0), (4.0, 3.0), (5.0, 4.0)):
+        pose = Pose2(x_m, y_m, 0.3)
+        known.insert(cloud_at(room(), pose, rng), pose)
+        known.insert(cloud_at(world_of(walls), second @ pose, rng), second @ pose)
+    return known, second
+
+
+@pytest.mark.parametrize(("box_m", "believed"), [(0.0, True), (2.0, False)])
+def test_among_places_that_look_alike_the_word_decides_but_not_against_a_better_one(
+    box_m: float, believed: bool
+) -> None:
+    known, second = two_rooms(box_m)
+    here = Pose2(4.2, 3.1, 0.4)
+    cloud = cloud_at(room(), here, np.random.default_rng(1), sigma_m=0.01)
+    answers = list(slam_region(cloud, known, region_at(second @ here), PARAMS))
+    assert answers[0].verdict is Verdict.ACCEPTED, answers[0].reason
+    assert (answers[-1].verdict is Verdict.ACCEPTED) is believed
+    if not believed:
+        assert "fits better outside the region, at x 4." in (answers[-1].reason or "")
+
+
 def test_no_map_and_no_walls_in_view_are_refused() -> None:
     cloud = cloud_at(lab(0), tour_poses(0)[3], np.random.default_rng(0), sigma_m=0.01)
     empty = PointMap(MapParams())
@@ -78,7 +107,8 @@ def test_the_quick_search_alone_does_when_the_thorough_one_is_off() -> None:
     truth = tour_poses(0)[3]
     cloud = cloud_at(lab(0), truth, np.random.default_rng(0), sigma_m=0.01)
     quick = replace(PARAMS, exhaustive=replace(PARAMS.exhaustive, candidates=0))
-    *_, answer = slam_region(cloud, mapped_lab(0), region_at(truth), quick)
+    named = truth @ Pose2(0.9, -0.7, math.radians(40.0))
+    *_, answer = slam_region(cloud, mapped_lab(0), region_at(named), quick)
     assert answer.verdict is Verdict.ACCEPTED
     assert answer.best is not None
     assert answer.best.pose.distance_to(truth) < 0.05
