@@ -1,5 +1,5 @@
 """The robot on the Zenoh network, and whoever listens to robots. Zenoh is seen here and in
-``serving.py`` only.
+``serving`` only.
 
 A robot is a *peer*: it opens at once with nobody there, serves those who connect to it, and looks
 for its routers in the background for ever. Listeners are *clients*: a client is served both by a

@@ -16,10 +16,10 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amr_slam import serving
 from amr_slam.map import MapParams, PointMap, save_map
 from amr_slam.publishing import RobotPublisher
-from amr_slam.serving import Allowance, Asked, ImageWanted, MapFile, MapWanted, Picture
+from amr_slam.serving import Asked, ImageWanted, MapFile, MapWanted, Picture, desk, maps
+from amr_slam.serving.desk import Allowance
 from amr_slam.wire import CommandReply, MapImage, Relocalize, SetPose, ZenohSettings
 
 DEADLINE_S = 20.0
@@ -82,7 +82,7 @@ def test_a_command_reaches_the_loop_checked_and_its_reply_comes_back(endpoint: s
 def test_a_loop_that_does_not_answer_costs_a_command_its_time_only(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serving, "ANSWER_LIMIT_S", 0.3)
+    monkeypatch.setattr(desk, "ANSWER_LIMIT_S", 0.3)
     seen: list[Asked] = []
     with robot(endpoint, seen.append), asking(endpoint) as ask:
         (told,) = ask("cmd/relocalize")
@@ -184,7 +184,7 @@ def test_a_map_that_cannot_be_sent_is_an_error_and_not_silence(
     if what == "missing":
         path.unlink()
     elif what == "large":
-        monkeypatch.setattr(serving, "MAX_MAP_BYTES", 10)
+        monkeypatch.setattr(maps, "MAX_MAP_BYTES", 10)
     elif what == "no map":
         path.write_bytes(b"something else")
 
