@@ -12,13 +12,14 @@ from typing import Final
 
 from amr_slam.config import Config
 from amr_slam.publishing import RobotPublisher
+from amr_slam.reporting import candidate_part, health_part, pose_message
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
-from amr_slam.wire import CandidatePart, HealthPart, MapPart, PoseMessage, StatusMessage
+from amr_slam.wire import HealthPart, MapPart, StatusMessage
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +70,7 @@ class Reporter:
         self._state, self._pose_fault = estimate.state, estimate.fault
         self._candidates, self._explained = estimate.candidates, estimate.explained
         active = self._worker.active_map
-        message = PoseMessage.from_estimate(
+        message = pose_message(
             replace(estimate, fault=_joined(estimate.fault, self._fault)),
             robot=self._config.robot.name,
             seq=self._poses,
@@ -135,7 +136,7 @@ class Reporter:
             cpu_percent=cpu_percent,
             memory_mb=memory_mb,
             fault=_joined(self._pose_fault, self._fault),
-            candidates=tuple(CandidatePart.of(one) for one in self._candidates),
+            candidates=tuple(candidate_part(one) for one in self._candidates),
             explained=self._explained,
         )
 
@@ -164,4 +165,4 @@ def _joined(*faults: str | None) -> str | None:
 
 def _part(health: Health) -> HealthPart:
     detail = health.detail
-    return HealthPart.of(replace(health, detail=detail and detail[:_MAX_DETAIL]))
+    return health_part(replace(health, detail=detail and detail[:_MAX_DETAIL]))
