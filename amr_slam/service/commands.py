@@ -6,7 +6,7 @@ import logging
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, assert_never
+from typing import Final
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from amr_slam.serving import Asked, ImageWanted, MapFile, MapWanted, Picture
 from amr_slam.slam_process import Draw, Drawn, SlamJob, Store, Stored, Switch, Switched, TaskAnswer
 from amr_slam.wire import (
     CommandReply,
-    FoundPose,
     LoadMap,
     MapImage,
     MapPart,
@@ -33,6 +32,7 @@ from amr_slam.wire import (
     SetPose,
     StartMapping,
 )
+from amr_slam.wire.commands import FoundPose
 
 _log = logging.getLogger(__name__)
 
@@ -90,7 +90,7 @@ class Commands:
             case SaveRecording():
                 self._save_recording(asked, request.reason)
             case _:
-                assert_never(request)
+                asked.not_done("this robot does not know how")
 
     def turn(self, now_ns: int) -> None:
         """Answer a search that has ended, or end one that nobody waits for."""

@@ -10,26 +10,18 @@ from importlib.metadata import version
 from os import getpid
 from typing import Final
 
-import numpy as np
-
 from amr_slam.clouds import Cloud
 from amr_slam.config import Config
 from amr_slam.geometry import Pose2
 from amr_slam.publishing import RobotPublisher
+from amr_slam.reporting import candidate_part, health_part, pose_message, scan_message
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
-from amr_slam.wire import (
-    CandidatePart,
-    HealthPart,
-    MapPart,
-    PoseMessage,
-    ScanMessage,
-    StatusMessage,
-)
+from amr_slam.wire import HealthPart, MapPart, StatusMessage
 
 _log = logging.getLogger(__name__)
 
@@ -82,7 +74,7 @@ class Reporter:
         self._state, self._pose_fault = estimate.state, estimate.fault
         self._candidates, self._explained = estimate.candidates, estimate.explained
         active = self._worker.active_map
-        message = PoseMessage.from_estimate(
+        message = pose_message(
             replace(estimate, fault=_joined(estimate.fault, self._fault)),
             robot=self._config.robot.name,
             seq=self._poses,
@@ -101,13 +93,14 @@ class Reporter:
         points = map_from_base @ cloud.take(cloud.even(most)).points_m
         active = self._worker.active_map
         self._publisher.publish_scan(
-            ScanMessage(
+            scan_message(
+                points,
                 robot=self._config.robot.name,
                 seq=self._scans,
-                stamp=(cloud.stamp_ns + self._clock.utc_from_monotonic_ns) / 1_000_000_000,
-                map=active.map_id if active is not None else None,
+                stamp_ns=cloud.stamp_ns,
+                utc_from_monotonic_ns=self._clock.utc_from_monotonic_ns,
+                map_id=active.map_id if active is not None else None,
                 epoch=self._epoch,
-                points=tuple((x, y) for x, y in np.round(points, 3).tolist()),
             )
         )
         self._scans += 1
@@ -169,7 +162,7 @@ class Reporter:
             cpu_percent=cpu_percent,
             memory_mb=memory_mb,
             fault=_joined(self._pose_fault, self._fault),
-            candidates=tuple(CandidatePart.of(one) for one in self._candidates),
+            candidates=tuple(candidate_part(one) for one in self._candidates),
             explained=self._explained,
         )
 
@@ -198,4 +191,4 @@ def _joined(*faults: str | None) -> str | None:
 
 def _part(health: Health) -> HealthPart:
     detail = health.detail
-    return HealthPart.of(replace(health, detail=detail and detail[:_MAX_DETAIL]))
+    return health_part(replace(health, detail=detail and detail[:_MAX_DETAIL]))
