@@ -60,7 +60,8 @@ class CommandDesk:
     def _perform(self, query: zenoh.Query, arguments: Command) -> Answering:
         """On the desk's thread."""
         by = asking(query)
-        _log.info("command %s %s, asked by %s", arguments.kind, arguments, by)
+        told = arguments.model_dump_json(exclude={"v"})
+        _log.info("command %s %s, asked by %s", arguments.kind, told, by)
         try:
             reply: CommandReply = self._desk.ask(Asked(request=arguments, by=by))
         except NotDone as error:
