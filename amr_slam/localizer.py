@@ -227,12 +227,12 @@ class Localizer:
 
     def _handle_result(self, result: SlamResult) -> Outcome:
         self._busy = False
+        if result.sought:
+            return self._handle_sought(result)
         self._last_result = result
         self._answered_ns = result.stamp_ns
         if self._filter is None:
             return Outcome.UNKNOWN
-        if result.sought:
-            return self._handle_sought(result)
         self._hear_of_mounting(result)
         if self._suspicions.withholds(result.inspection):
             return Outcome.MISMOUNTED
@@ -250,9 +250,8 @@ class Localizer:
 
     def _handle_sought(self, result: SlamResult) -> Outcome:
         """A search around a pose that was named says nothing of any other pose."""
-        assert self._filter is not None
         self._answered_ns = None
-        if self._seek is None or self._seek.ended:
+        if self._filter is None or self._seek is None or self._seek.ended:
             return Outcome.UNKNOWN
         fix = self._weakened(self._seek.hear(result, self._filter.motion_between))
         if fix is None:
@@ -260,6 +259,8 @@ class Localizer:
         outcome = self._begin(fix.stamp_ns, fix.map_from_base, fix.covariance, located=True)
         if outcome is not Outcome.RESET:
             self._seek.give_up("the scan came too late")
+            return outcome
+        self._last_result = result
         return outcome
 
     def _hear_of_mounting(self, result: SlamResult) -> None:

@@ -65,6 +65,7 @@ def test_what_does_not_fit_leaves_the_pose_as_it_was() -> None:
         assert asked(rig) is not None
         assert rig.sought(None) is Outcome.UNKNOWN
     assert (seek.ended, seek.pose, seek.reason) == (True, None, "only 30% fit")
+    assert rig.estimate.fault is None  # that was said of another place
     assert (rig.estimate.epoch, rig.state()) == (0, State.LOCALIZED)
     assert rig.off_m < 0.02
     assert asked(rig) is None

@@ -79,6 +79,16 @@ def test_a_command_reaches_the_loop_checked_and_its_reply_comes_back(endpoint: s
     assert {one.by for one in seen} == {"somebody"}
 
 
+def test_who_asks_for_all_that_there_is_gets_no_map_and_commands_nothing(endpoint: str) -> None:
+    seen: list[Asked] = []
+    with robot(endpoint, seen.append), asking(endpoint) as ask:
+        assert ask("**") == []
+        assert ask("*/*", b"{}") == []
+        (told,) = ask("cmd/*", b"{}")
+        assert "one robot, by its full key" in told["error"]
+    assert not seen
+
+
 def test_a_loop_that_does_not_answer_costs_a_command_its_time_only(
     endpoint: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -220,3 +230,20 @@ def test_in_no_span_of_time_is_more_taken_than_allowed(gaps_s: list[float]) -> N
 def test_who_waits_is_heard_again() -> None:
     allowance = Allowance(2.0, 1, 0.0)
     assert [allowance.takes(t) for t in (0.0, 0.1, 0.6, 0.7)] == [True, False, True, False]
+
+
+def test_who_tells_the_session_that_asks_is_named(endpoint: str) -> None:
+    seen: list[Asked] = []
+
+    def loop(asked: Asked) -> None:
+        seen.append(asked)
+        asked.done(CommandReply(ok=True))
+
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    with robot(endpoint, loop), zenoh.open(config) as session:
+        querier = session.declare_querier("amr/amr7/cmd/relocalize")
+        (reply,) = querier.get(source_info=zenoh.SourceInfo(querier.id, 1))
+        assert reply.ok is not None
+        assert seen[0].by == f"session {session.zid()}"

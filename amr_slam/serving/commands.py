@@ -35,6 +35,9 @@ class CommandDesk:
 
     def _on_query(self, query: zenoh.Query) -> None:
         """On a thread of zenoh's."""
+        if "/cmd/" not in str(query.key_expr):  # somebody who asks for all that there is
+            query.drop()  # type: ignore[no-untyped-call]
+            return
         try:
             arguments = self._checked(query)
         except WireError as error:

@@ -14,10 +14,13 @@ from amr_slam.map import MapError
 from amr_slam.map.file import identity
 from amr_slam.serving.asked import Asked, ImageWanted, MapFile, MapWanted, NotDone, Picture, Put
 from amr_slam.serving.desk import Answering, Desk, asking
-from amr_slam.wire import MAX_MAP_BYTES, SCHEMA_VERSION, CommandReply
+from amr_slam.wire import MAX_MAP_BYTES, SCHEMA_VERSION, CommandReply, Topic
 
 _MAP_QUERIES: Final = 2
 """Of the map and its picture, here at once."""
+
+_MAP: Final = Topic.MAP.value
+_IMAGE: Final = Topic.MAP_IMAGE.value
 
 _Finding = Callable[[zenoh.Query], Answering]
 
@@ -26,7 +29,7 @@ class MapDesk:
     """``map`` and ``map/image``: answered one after another."""
 
     def __init__(self, session: zenoh.Session, base: str, put: Put) -> None:
-        self._map_key, self._image_key = f"{base}/map", f"{base}/map/image"
+        self._map_key, self._image_key = f"{base}/{_MAP}", f"{base}/{_IMAGE}"
         self._desk = Desk("maps", put, places=_MAP_QUERIES)
         self._queryables = (
             session.declare_queryable(self._map_key, partial(self._on_query, self._find_map)),
@@ -38,7 +41,9 @@ class MapDesk:
 
     def _on_query(self, find: _Finding, query: zenoh.Query) -> None:
         """On a thread of zenoh's."""
-        if not self._desk.enter(lambda: self._perform(find, query)):
+        if not str(query.key_expr).endswith((f"/{_MAP}", f"/{_IMAGE}")):
+            query.drop()  # type: ignore[no-untyped-call]  # who asks for all gets no megabytes
+        elif not self._desk.enter(lambda: self._perform(find, query)):
             _refuse_map(query, "busy with the queries before this one: ask again")
 
     def _perform(self, find: _Finding, query: zenoh.Query) -> Answering:
