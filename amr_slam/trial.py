@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, Self
 
+from amr_slam.client import FleetListener, SessionError
 from amr_slam.judging import ReportedPose
-from amr_slam.publishing import FleetListener, PublishingError
 from amr_slam.reporting import map_from_base
 from amr_slam.simulation import CautiousPilot
 from amr_slam.wire import PoseMessage
@@ -54,7 +54,7 @@ class DaemonProcess:
             self.check()
             try:
                 return FleetListener(endpoint, [robot], connect_timeout_s=_ATTEMPT_S)
-            except PublishingError as error:
+            except SessionError as error:
                 if time.monotonic() > deadline_s:
                     raise TrialError(f"{error}; see {self._log}") from error
 

@@ -35,8 +35,8 @@ def test_the_core_opens_no_device_and_knows_no_network(module: str) -> None:
     assert not [name for name in loaded if name.startswith(("amr_drivers", "amr_slam.simulation"))]
 
 
-def test_what_goes_over_the_network_needs_no_numpy() -> None:
-    """Controllers import it without the robot's libraries."""
-    loaded = loaded_with("amr_slam.wire")
+@pytest.mark.parametrize("module", ["amr_slam.wire", "amr_slam.client"])
+def test_controllers_need_none_of_the_robots_libraries(module: str) -> None:
+    loaded = loaded_with(module)
     assert "pydantic" in loaded
     assert not loaded & set(HEAVY)

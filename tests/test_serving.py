@@ -201,16 +201,19 @@ def test_a_map_that_cannot_be_sent_is_an_error_and_not_silence(
     def loop(asked: Asked) -> None:
         asked.done(MapFile(path=path, map_id=MAP_ID))
 
-    with robot(endpoint, loop), asking(endpoint) as ask:
-        (told,) = ask("map")
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    with robot(endpoint, loop), zenoh.open(config) as session:
+        (reply,) = session.get("amr/amr7/map", timeout=DEADLINE_S)
     said = {
         "missing": "No such file",
         "large": "larger than",
         "replaced": "has been replaced",
         "no map": "not a map file",
     }
-    assert not told["ok"]
-    assert said[what] in told["error"]
+    assert reply.err is not None
+    assert said[what] in reply.err.payload.to_string()
 
 
 @settings(derandomize=True, deadline=None)

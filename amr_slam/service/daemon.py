@@ -49,7 +49,7 @@ def run(config_path: Path, record: Path | None = None) -> int:
     """Localize until SIGTERM (0) or SIGINT (130); SIGUSR1 saves what was recorded last.
 
     ``record``: a file for all that is recorded, from the start. Raises ConfigError,
-    PublishingError, OSError when ``record`` cannot be written, and RuntimeError where a driver
+    SessionError, OSError when ``record`` cannot be written, and RuntimeError where a driver
     failed in a way that no driver may: systemd starts anew. A device that is missing is waited for.
     """
     config = load(config_path)

@@ -14,7 +14,7 @@ from amr_slam.map import MapError
 from amr_slam.map.file import identity
 from amr_slam.serving.asked import Asked, ImageWanted, MapFile, MapWanted, NotDone, Picture, Put
 from amr_slam.serving.desk import Answering, Desk, asking
-from amr_slam.wire import MAX_MAP_BYTES, SCHEMA_VERSION, CommandReply, Topic
+from amr_slam.wire import MAX_MAP_BYTES, SCHEMA_VERSION, Topic
 
 _MAP_QUERIES: Final = 2
 """Of the map and its picture, here at once."""
@@ -104,7 +104,4 @@ def _resolution_m(parameters: zenoh.Parameters) -> float | None:
 
 def _refuse_map(query: zenoh.Query, reason: str) -> None:
     with query:
-        query.reply_err(
-            CommandReply.refusing(reason).encode(),
-            encoding=zenoh.Encoding.APPLICATION_JSON,
-        )
+        query.reply_err(reason.encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
