@@ -63,8 +63,9 @@ def compare(X: Cloud, target: Target, pose: Pose2) -> Change | None:
     wrong = appeared | through
     bearings = np.arctan2(X.points_m[:, 1], X.points_m[:, 0])
     return Change(
-        explained=float(share @ (distance <= clearance)),
-        contradicting=float(share @ wrong),
+        # Shares add up to 1 but for the rounding: all of a scan may be a little more than all.
+        explained=min(1.0, float(share @ (distance <= clearance))),
+        contradicting=min(1.0, float(share @ wrong)),
         sector_rad=sector(bearings[wrong], share[wrong]),
     )
 

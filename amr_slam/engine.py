@@ -21,6 +21,7 @@ from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.inspection import Inspection, Inspector, Looks
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
+from amr_slam.region import Region, slam_region
 from amr_slam.registration.icp import Prior, points_alone
 from amr_slam.samples import Motion, SlamPose
 from amr_slam.slam import slam_absolute_rungs, slam_relative
@@ -50,6 +51,8 @@ class SlamRequest:
     """The scanners that saw the cloud; without them their mounting is not questioned."""
     motion: Motion | None = None
     """What the wheels say since the last scan that was registered; None where they do not know."""
+    region: Region | None = None
+    """Localization: seek the pose here, whatever is expected."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,6 +74,8 @@ class SlamResult:
     at the best one near the expected pose."""
     inspection: Inspection = field(default_factory=Inspection)
     """What the scan says of the scanners' mounting. Where it looks wrong there is no fix."""
+    sought: bool = False
+    """The answer is that of a search in the request's region."""
 
 
 class SlamEngine:
@@ -88,6 +93,8 @@ class SlamEngine:
         cloud = request.cloud
         if self.mode == "mapping" and not len(self.map) and request.map_from_base is not None:
             return self._found(request)
+        if request.region is not None and self.mode == "localization":
+            return self._seek(request, request.region)
         prior = _prior(request)
         vague = prior is not None and self._vague(prior)
         climbed = tuple(self._climb(request, prior, vague=vague))
@@ -106,6 +113,15 @@ class SlamEngine:
         result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
         change = self._compare(cloud, climbed[0] if fix is None else answer)
         return replace(result, change=change, inspection=inspection)
+
+    def _seek(self, request: SlamRequest, region: Region) -> SlamResult:
+        """Sought where somebody says; that pose says nothing of the scanners' mounting."""
+        climbed = tuple(slam_region(request.cloud, self.map, region, self.params))
+        answer, fix = climbed[-1], None
+        if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
+            fix = _fix(request.cloud.stamp_ns, answer.best, answer.rung, None)
+        result = self._result(request.cloud.stamp_ns, climbed, answer, fix, inserted=False)
+        return replace(result, change=self._compare(request.cloud, answer), sought=True)
 
     def _inspect(self, request: SlamRequest, answer: Answer) -> Inspection:
         return self._inspector.inspect(

@@ -38,6 +38,8 @@ class Rung(enum.StrEnum):
     RESCUE = "rescue"
     ABSOLUTE = "absolute"
     EXHAUSTIVE = "exhaustive"
+    REGION = "region"
+    """No step of the ladder: sought where somebody says."""
 
 
 class Verdict(enum.StrEnum):
@@ -164,6 +166,7 @@ def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: Sla
         Rung.RESCUE: params.rescue,
         Rung.ABSOLUTE: params.absolute,
         Rung.EXHAUSTIVE: params.absolute,
+        Rung.REGION: params.rescue,
     }[rung]
     reason = objection(best, bar)
     verdict = Verdict.UNKNOWN if reason else Verdict.ACCEPTED
@@ -173,6 +176,7 @@ def decide(tried: Sequence[Hypothesis], candidates: int, rung: Rung, params: Sla
     least = {
         Rung.ABSOLUTE: params.plausibility.sure,
         Rung.EXHAUSTIVE: params.plausibility.accept,
+        Rung.REGION: params.plausibility.accept,
     }.get(rung, 0.0)
     probable = plausibility(best, margin, params.plausibility)
     if not reason and probable < least:

@@ -26,6 +26,7 @@ from amr_slam.hypotheses import Hypotheses
 from amr_slam.mounting import Mounting
 from amr_slam.odometry import Odometry
 from amr_slam.pairing import Pairing, end_ns
+from amr_slam.region import Region
 from amr_slam.samples import (
     Candidate,
     DriveSample,
@@ -36,6 +37,7 @@ from amr_slam.samples import (
     SlamPose,
     State,
 )
+from amr_slam.seeking import Seek
 from amr_slam.suspicions import Suspicions
 from amr_slam.trust import LocalizerParams, fault_of, scanner_fault, too_wide, whole_map
 from amr_slam.wheel_events import WheelEvent, WheelEvents
@@ -46,6 +48,8 @@ Sample = DriveSample | Scan | SlamResult
 
 # Where nothing is known: wider than any hall, well inside what the filter can compute with.
 _ANYWHERE = np.diag([1e4**2, 1e4**2, math.pi**2])
+_NEW_MAP: Final = (Pose2.identity(), np.diag([1e-4, 1e-4, 1e-6]))
+"""A map begins where the robot stands."""
 _SHOWN: Final = 5
 """Candidates that leave the robot, and the least odds that are worth telling."""
 _SHOWN_ODDS: Final = 0.01
@@ -72,7 +76,7 @@ class Localizer:
         self._pairing = Pairing(mountings, cloud_params, params.pair_wait_s)
         self._mode: Mode = mode
         if start is None and mode == "mapping":
-            start = (Pose2.identity(), np.diag([1e-4, 1e-4, 1e-6]))
+            start = _NEW_MAP
         self._start = start
         self._located = start is not None
         self._filter: PoseFilter | None = None
@@ -93,6 +97,9 @@ class Localizer:
         self._alone = False
         """The cloud handed out last lacks a scanner."""
         self._first_ns: int | None = None
+        self._seek: Seek | None = None
+        self._unconfirmed = False
+        """The pose is what somebody said; no scan has agreed with it yet."""
         self.outcomes: Counter[str] = Counter()
         """How many samples of which kind had which outcome, e.g. ``scan.accepted``."""
 
@@ -118,6 +125,71 @@ class Localizer:
     def drop_request(self) -> None:
         """The request handed out last will never be answered (the worker died)."""
         self._busy = False
+
+    # -- what people say -------------------------------------------------------------------
+
+    def objection(self) -> str | None:
+        """Why the pose cannot be set now, or None."""
+        if self._mode == "mapping":
+            return "not while mapping: the new map grows around the pose"
+        if self._filter is None:
+            return "no wheel sample has come yet"
+        return self._suspicions.fault and f"scanner configuration: {self._suspicions.fault}"
+
+    def seek(self, region: Region) -> Seek:
+        """Look for the pose in ``region``, as of now; the estimate jumps when scans confirm it.
+
+        Until :class:`Seek` has ended, scans are asked for nothing else. Only without
+        :meth:`objection`.
+        """
+        assert self._filter is not None
+        self._seek = Seek(self._filter.stamp_ns, region)
+        return self._seek
+
+    def place(self, map_from_base: Pose2, covariance: Array) -> None:
+        """The pose is this (covariance (3, 3)): a new epoch. Only without :meth:`objection`.
+
+        ``odometry_only`` until a scan agrees.
+        """
+        self._end_seek("another command has set the pose")
+        self._begin(None, map_from_base, covariance, located=True)
+        self._unconfirmed = True
+
+    def forget(self) -> None:
+        """Nothing is known: search the whole map. A new epoch. Only without :meth:`objection`."""
+        assert self._filter is not None
+        self._end_seek("another command has made the robot forget its pose")
+        self._begin(None, self._filter.map_from_base, _ANYWHERE, located=False)
+
+    def restart(self, mode: Mode) -> None:
+        """Poses refer to another map from now on: a new epoch. ``odom`` goes on."""
+        self._end_seek("the map has been changed")
+        self._mode = mode
+        self._last_result = None
+        pose, covariance = _NEW_MAP if mode == "mapping" else (Pose2.identity(), _ANYWHERE)
+        self._start = pose, covariance
+        self._begin(None, pose, covariance, located=mode == "mapping")
+
+    def _end_seek(self, reason: str) -> None:
+        if self._seek is not None and not self._seek.ended:
+            self._seek.give_up(reason)
+        self._seek = None
+
+    def _begin(
+        self, stamp_ns: int | None, map_from_base: Pose2, covariance: Array, *, located: bool
+    ) -> Outcome:
+        """Jump to a pose of ``stamp_ns`` (None: of now) and forget what spoke for the last one."""
+        if self._filter is not None:
+            stamp_ns = self._filter.stamp_ns if stamp_ns is None else stamp_ns
+            outcome = self._filter.reset(stamp_ns, map_from_base, covariance)
+            if outcome is not Outcome.RESET:
+                return outcome
+        self._located, self._unconfirmed, self._refusals = located, False, 0
+        self._agreeing.clear()
+        self._hypotheses.clear()
+        # The way from an older scan to the next one says nothing of the scanners' mounting.
+        self._answered_ns = None
+        return Outcome.RESET
 
     def _handle_wheels(self, sample: DriveSample) -> Outcome:
         if self._filter is None:
@@ -163,6 +235,8 @@ class Localizer:
 
     def _handle_result(self, result: SlamResult) -> Outcome:
         self._busy = False
+        if result.sought:
+            return self._handle_sought(result)
         self._last_result = result
         self._answered_ns = result.stamp_ns
         if self._filter is None:
@@ -183,11 +257,26 @@ class Localizer:
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             if outcome is not Outcome.RESET:
                 self._left = None
-            self._refusals = 0
+            self._refusals, self._unconfirmed = 0, False
             self._agreeing.clear()
             self._hypotheses.clear()
         elif outcome is not Outcome.UNKNOWN or not self._fits_where_expected(result):
             self._refusals += 1
+        return outcome
+
+    def _handle_sought(self, result: SlamResult) -> Outcome:
+        """A search around a pose that was named says nothing of any other pose."""
+        self._answered_ns = None
+        if self._filter is None or self._seek is None or self._seek.ended:
+            return Outcome.UNKNOWN
+        fix = self._weakened(self._seek.hear(result, self._filter.motion_between))
+        if fix is None:
+            return Outcome.UNKNOWN
+        outcome = self._begin(fix.stamp_ns, fix.map_from_base, fix.covariance, located=True)
+        if outcome is not Outcome.RESET:
+            self._seek.give_up("the scan came too late")
+            return outcome
+        self._last_result = result
         return outcome
 
     def _hear_of_mounting(self, result: SlamResult) -> None:
@@ -349,9 +438,15 @@ class Localizer:
             also=self._hypotheses.poses(),
             views=merged.views,
             motion=self._since_answer(cloud.stamp_ns),
+            region=self._region_at(cloud.stamp_ns),
         )
         self._alone = len(merged.views) < len(self._pairing)
         self._busy = True
+
+    def _region_at(self, stamp_ns: int) -> Region | None:
+        if self._seek is None or self._filter is None:
+            return None
+        return self._seek.region_at(stamp_ns, self._filter.motion_between)
 
     def _since_answer(self, stamp_ns: int) -> Motion | None:
         if self._answered_ns is None or self._filter is None:
@@ -459,7 +554,8 @@ class Localizer:
             or self._refusals >= params.lost_refusals
         ):
             return State.LOST
-        if since_fix_s > params.fresh_s or wheel_age_s > params.wheels_silent_s:
+        silent = wheel_age_s > params.wheels_silent_s
+        if self._unconfirmed or since_fix_s > params.fresh_s or silent:
             return State.ODOMETRY_ONLY
         return State.MAPPING if self._mode == "mapping" else State.LOCALIZED
 

@@ -15,6 +15,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from amr_slam.geometry import Array, Pose2, readonly
+from amr_slam.states import State as State  # noqa: PLC0414 - part of an estimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -221,17 +222,6 @@ class Outcome(enum.StrEnum):
     """A scan that speaks against the configuration of the scanners."""
     UNKNOWN = "unknown"
     """A scan for which no pose was found."""
-
-
-class State(enum.StrEnum):
-    """What a published pose is worth (contracts: ``state``)."""
-
-    STARTING = "starting"
-    LOCALIZED = "localized"
-    ODOMETRY_ONLY = "odometry_only"
-    LOST = "lost"
-    AMBIGUOUS = "ambiguous"
-    MAPPING = "mapping"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -124,7 +124,7 @@ def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams)
     centre = prior.target_from_source
     covariance = np.linalg.inv(prior.information)
     reach = np.clip(3.0 * np.sqrt(np.diag(covariance)), params.window_min, params.window_max)
-    offsets = _window(reach[:2], params.local_spacing_m)
+    offsets = window(reach[:2], params.local_spacing_m)
     places = centre.translation + offsets
     h_x = rdnm.of_scan(X.points_m, params.rdnm)
     h_y = rdnm.of_map(target, places, params.rdnm)
@@ -135,7 +135,7 @@ def local_candidates(X: Cloud, target: Target, prior: Prior, params: SlamParams)
     return np.concatenate([[centre.as_array()], rough[:, :3]])
 
 
-def _window(half_m: Array, spacing_m: float) -> Array:
+def window(half_m: Array, spacing_m: float) -> Array:
     """Grid offsets (k, 2) over a rectangle of half sides ``half_m`` (2,), its centre included:
     ``spacing_m`` apart or more, 7 a side at most."""
     steps = [min(int(half / spacing_m), 3) for half in half_m]

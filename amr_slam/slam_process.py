@@ -8,20 +8,25 @@ both cases saves the map that it grew. The pipe's pickles come from our own pare
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Final
 
-from amr_slam.engine import Mode, SlamEngine
+from amr_slam.engine import Mode, SlamEngine, SlamRequest, SlamResult
 from amr_slam.map import MapError, PointMap, load_map, save_map
+from amr_slam.map.export import image_within, png_bytes
 from amr_slam.params import SlamParams
 from amr_slam.warming import warm_up
 
 _NICENESS = 5
 """The poses' process goes first where processors are few."""
 _OLD_VERSIONS = 2
+_MAX_PIXELS: Final = 4_000_000
+"""Of a picture: a few hundred kilobytes as PNG, half a second to make."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,38 +76,173 @@ class Stop:
     """Asks the process to save and to end."""
 
 
+# -- tasks, each answered once, in turn with the requests
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Switch:
+    """Save what was mapped, and go on with another job. Answered by Switched."""
+
+    job: SlamJob
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Store:
+    """Write the map as it is now. Answered by Stored."""
+
+    target: Path | None
+    """A file that does not exist yet; None: the file of the running job."""
+    name: str | None = None
+    """The map's name in it; None: its own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draw:
+    """Draw the map as it is now. Answered by Drawn."""
+
+    resolution_m: float | None
+    """Side of a pixel; None: of a wall cell."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Switched:
+    """Requests are answered by the new job's map from now on."""
+
+    job: SlamJob
+    ready: Ready
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stored:
+    """The map is in a file, whole."""
+
+    path: Path
+    map_id: str
+    """UUID of the file's content."""
+    map_scans: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """A picture and where it lies in the map frame (docs: :class:`OccupancyImage`)."""
+
+    png: bytes
+    columns: int
+    rows: int
+    resolution_m: float
+    x_min_m: float
+    y_min_m: float
+    map_scans: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declined:
+    """A task that was not done; everything is as before."""
+
+    reason: str
+
+
+Task = Switch | Store | Draw
+TaskAnswer = Switched | Stored | Drawn | Declined
+
+
 def serve(pipe: Connection, job: SlamJob) -> None:
-    """Answer each SlamRequest by a SlamResult until Stop or the parent's end.
+    """Answer each SlamRequest by a SlamResult, and each task, until Stop or the parent's end.
 
     The first message is Ready or Refused; Saved may come at any time.
     """
     with contextlib.suppress(PermissionError):  # a sandbox may forbid it
         os.nice(_NICENESS)
     try:
-        grown, map_id = _open_map(job)
+        server = _Server(job)
     except MapError as error:
         pipe.send(Refused(reason=str(error)))
         return
     warm_up(job.params)
-    engine = SlamEngine(job.params, grown, job.mode)
-    keeper = _Keeper(job, grown)
     try:
-        pipe.send(Ready(map_id=map_id, map_name=grown.name, map_scans=len(grown.path)))
+        pipe.send(server.ready())
         while True:
-            if pipe.poll(keeper.due_s()):
+            if pipe.poll(server.keeper.due_s()):
                 request = pipe.recv()
                 if isinstance(request, Stop):
                     break
-                pipe.send(engine.update(request))
-            if keeper.due_s() == 0.0:
-                pipe.send(keeper.save())
+                pipe.send(server.answer(request))
+            if server.keeper.due_s() == 0.0:
+                pipe.send(server.keeper.save())
     except (EOFError, ConnectionError):
-        keeper.save_if_changed()  # the parent is gone: nobody to answer, but a map to keep
+        server.keeper.save_if_changed()  # the parent is gone: nobody to answer, a map to keep
         return
-    saved = keeper.save_if_changed()
+    saved = server.keeper.save_if_changed()
     if saved is not None:
         with contextlib.suppress(ConnectionError):
             pipe.send(saved)
+
+
+class _Server:
+    """One job's engine and map; :class:`Switch` replaces both."""
+
+    def __init__(self, job: SlamJob) -> None:
+        """Raises MapError."""
+        self._adopt(job, *_open_map(job))
+
+    def ready(self) -> Ready:
+        grown = self._engine.map
+        return Ready(map_id=self._map_id, map_name=grown.name, map_scans=len(grown.path))
+
+    def answer(self, request: SlamRequest | Task) -> SlamResult | TaskAnswer:
+        try:
+            match request:
+                case SlamRequest():
+                    return self._engine.update(request)
+                case Switch():
+                    return self._switch(request.job)
+                case Store():
+                    return self._store(request)
+                case Draw():
+                    return self._draw(request)
+        except MapError as error:
+            return Declined(reason=str(error))
+
+    def _switch(self, job: SlamJob) -> Switched:
+        if job.target is not None:
+            _must_be_free(job.target)
+        grown, map_id = _open_map(job)
+        saved = self.keeper.save_if_changed()
+        if saved is not None and saved.error is not None:
+            raise MapError(saved.error)
+        self._adopt(job, grown, map_id)
+        return Switched(job=job, ready=self.ready())
+
+    def _adopt(self, job: SlamJob, grown: PointMap, map_id: str | None) -> None:
+        self._job, self._map_id = job, map_id
+        self._engine = SlamEngine(job.params, grown, job.mode)
+        self.keeper = _Keeper(job, grown)
+
+    def _store(self, task: Store) -> Stored:
+        grown = self._engine.map
+        if not grown.path:
+            raise MapError("there is nothing in the map yet")
+        if task.target is None or task.target == self._job.target:
+            path, map_id = self.keeper.store()
+        else:
+            _must_be_free(task.target)
+            path, copied = task.target, copy.copy(grown)
+            copied.name = task.name or grown.name
+            map_id = str(save_map(copied, path, keep=0))
+        return Stored(path=path, map_id=map_id, map_scans=len(grown.path))
+
+    def _draw(self, task: Draw) -> Drawn:
+        image = image_within(self._engine.map, task.resolution_m, _MAX_PIXELS)
+        rows, columns = image.pixels.shape
+        return Drawn(
+            png=png_bytes(image),
+            columns=columns,
+            rows=rows,
+            resolution_m=image.resolution_m,
+            x_min_m=image.x_min_m,
+            y_min_m=image.y_min_m,
+            map_scans=len(self._engine.map.path),
+        )
 
 
 def _open_map(job: SlamJob) -> tuple[PointMap, str | None]:
@@ -112,6 +252,11 @@ def _open_map(job: SlamJob) -> tuple[PointMap, str | None]:
     return grown, str(map_id)
 
 
+def _must_be_free(path: Path) -> None:
+    if path.exists():
+        raise MapError(f"there is a map named {path.stem} already: choose another name")
+
+
 class _Keeper:
     """Knows when the map is to be saved, and saves it."""
 
@@ -119,6 +264,7 @@ class _Keeper:
         self._target = job.target
         self._grown = grown
         self._saved_revision = grown.revision
+        self._saved_id: str | None = None
         self._period_s = job.save_period_s
         self._next_s = time.monotonic() + job.save_period_s
         # Each save of one run replaces the last; older versions are those of earlier runs.
@@ -132,12 +278,9 @@ class _Keeper:
 
     def save(self) -> Saved:
         """Write the map; a full disk is reported and tried again a period later."""
-        assert self._target is not None
         error = None
         try:
-            save_map(self._grown, self._target, keep=self._keep)
-            self._saved_revision = self._grown.revision
-            self._keep = 0
+            self.store()
         except MapError as reason:
             error = str(reason)
         self._next_s = time.monotonic() + self._period_s
@@ -145,3 +288,13 @@ class _Keeper:
 
     def save_if_changed(self) -> Saved | None:
         return self.save() if self.due_s() is not None else None
+
+    def store(self) -> tuple[Path, str]:
+        """The file and the UUID of the map as it is now, written if it was not. Raises MapError."""
+        if self._target is None:
+            raise MapError("a map that is not being made has its file already")
+        if self._saved_id is None or self._grown.revision != self._saved_revision:
+            self._saved_id = str(save_map(self._grown, self._target, keep=self._keep))
+            self._saved_revision = self._grown.revision
+            self._keep = 0
+        return self._target, self._saved_id

@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, Self
 
+from amr_slam.client import FleetListener, SessionError
 from amr_slam.judging import ReportedPose
-from amr_slam.publishing import FleetListener, PublishingError
+from amr_slam.reporting import map_from_base
 from amr_slam.simulation import CautiousPilot
 from amr_slam.wire import PoseMessage
 
@@ -53,7 +54,7 @@ class DaemonProcess:
             self.check()
             try:
                 return FleetListener(endpoint, [robot], connect_timeout_s=_ATTEMPT_S)
-            except PublishingError as error:
+            except SessionError as error:
                 if time.monotonic() > deadline_s:
                     raise TrialError(f"{error}; see {self._log}") from error
 
@@ -139,7 +140,7 @@ def reported(message: PoseMessage, utc_ns: int, monotonic_ns: int) -> ReportedPo
         seq=message.seq,
         stamp_ns=monotonic_ns - age_ns,
         received_ns=monotonic_ns,
-        map_from_base=message.map_from_base,
+        map_from_base=map_from_base(message),
         error95_m=message.error95_m,
         heading95_rad=_SIGMAS_95 * math.sqrt(max(0.0, message.covariance[8])),
         state=message.state,

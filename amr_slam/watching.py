@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from amr_slam.publishing import FleetListener, RobotView
+from amr_slam.client import FleetListener, RobotView
 from amr_slam.samples import State
 from amr_slam.wire import UNKNOWN
 
@@ -43,7 +43,7 @@ def watch(
     stop: threading.Event | None = None,
 ) -> None:
     """Show the robots until Ctrl-C (or ``stop``): a table on a terminal, else a line a second for
-    each robot. Raises PublishingError when nobody answers at ``endpoint``."""
+    each robot. Raises SessionError when nobody answers at ``endpoint``."""
     console = console or Console()
     stop = stop or threading.Event()
     with FleetListener(

@@ -26,6 +26,7 @@ from amr_drivers.sick_s300.telegrams import (
 from amr_slam.config import load
 from amr_slam.geometry import Pose2
 from amr_slam.recording import Sample
+from amr_slam.reporting import pose_message
 from amr_slam.samples import PoseEstimate, Raw, RawBytes, RawFrame, Scan, State, Way, WheelSample
 from amr_slam.service.recorder import Recorder
 from amr_slam.wire import PoseMessage
@@ -155,9 +156,7 @@ def _pose(second: int, n: int) -> PoseMessage:
         since_fix_s=0.5,
         since_fix_m=0.1,
     )
-    return PoseMessage.from_estimate(
-        estimate, robot="amr7", seq=n, utc_from_monotonic_ns=0, map_id=None
-    )
+    return pose_message(estimate, robot="amr7", seq=n, utc_from_monotonic_ns=0, map_id=None)
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from amr_drivers.can_odometry.settings import Settings
 from amr_drivers.emulators.s300 import EmulatedS300
 from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_drivers.emulators.wheels import EmulatedWheels
-from amr_slam.publishing import FleetListener
+from amr_slam.client import FleetListener
 from amr_slam.samples import Scan, WheelSample
 from amr_slam.simulation import (
     ScannerModel,

@@ -108,6 +108,15 @@ class Rig:
             )
         return self.hand_back(answer, fix, stamp_ns=stamp_ns)
 
+    def sought(self, pose: Pose2 | None) -> Outcome:
+        """A search in the region that somebody named."""
+        fix = None
+        if pose is not None:
+            fix = SlamPose(
+                stamp_ns=self.now_ns, map_from_base=pose, covariance=SURE, relocalized=True
+            )
+        return self.hand_back(unknown("only 30% fit", Rung.REGION), fix, sought=True)
+
     def near(self, pose: Pose2, change: Change, *, verdict: Verdict = Verdict.ACCEPTED) -> Outcome:
         """A scan that was compared at the expected place."""
         found = answer_of((pose, 0.5), verdict=verdict)
@@ -152,6 +161,7 @@ class Rig:
         inserted: bool = False,
         stamp_ns: int | None = None,
         change: Change | None = None,
+        sought: bool = False,
     ) -> Outcome:
         result = SlamResult(
             stamp_ns=self.now_ns if stamp_ns is None else stamp_ns,
@@ -162,6 +172,7 @@ class Rig:
             map_scans=1,
             map_points=1,
             change=change,
+            sought=sought,
         )
         outcome = self.localizer.handle(result)
         self.collect()

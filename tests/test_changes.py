@@ -87,3 +87,12 @@ def test_where_is_said_in_words(sector_deg: tuple[float, float], words: str) -> 
     first, last = (math.radians(bearing) for bearing in sector_deg)
     change = Change(explained=0.6, contradicting=0.384, sector_rad=(first, last))
     assert change.describe() == f"38% of the scan contradicts the map, {words}"
+
+
+def test_a_scan_that_is_explained_to_the_last_point_is_so_by_1_and_not_more() -> None:
+    """Eleven equal shares add up to 1 + 2e-16, and a status of more than 1 is no status."""
+    y_m = np.linspace(0.5, 5.5, 11)
+    cloud = plain_cloud(np.column_stack([np.full(11, 8.0), y_m]), weight=0.3)
+    change = compare(cloud, exact_target(room()), Pose2.identity())
+    assert change is not None
+    assert change.explained == 1.0

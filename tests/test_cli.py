@@ -17,9 +17,9 @@ import pytest
 
 from amr_slam import service
 from amr_slam.cli import fleet, main, parser, progress
+from amr_slam.client import SessionError
 from amr_slam.map import PointMap, load_map, save_map
 from amr_slam.params import SlamParams
-from amr_slam.publishing import PublishingError
 from amr_slam.recording import RecordingWriter, read_log, read_tum
 from amr_slam.samples import Scan, WheelSample
 from amr_slam.simulation import (
@@ -486,7 +486,7 @@ def test_watch_asks_whom_it_is_told_to(monkeypatch: pytest.MonkeyPatch) -> None:
     def watch(endpoint: str, robots: list[str], *, keys: Path | None) -> None:
         seen.append((endpoint, robots, keys))
         if robots:
-            raise PublishingError(f"nobody at {endpoint}")
+            raise SessionError(f"nobody at {endpoint}")
 
     monkeypatch.setattr(fleet, "watch", watch)
     assert amr_slam("watch").status == 0

@@ -6,14 +6,37 @@ import sys
 import pytest
 
 EDGES = ("serial", "can", "cantools", "zenoh", "pydantic", "matplotlib", "socketserver")
+HEAVY = (
+    "numpy",
+    "scipy",
+    "filterpy",
+    "numba",
+    "matplotlib",
+    "can",
+    "serial",
+    "cryptography",
+    "rich",
+)
 
 
-@pytest.mark.parametrize("module", ["amr_slam.localizer", "amr_slam.engine"])
-def test_the_core_opens_no_device_and_knows_no_network(module: str) -> None:
+def loaded_with(module: str) -> set[str]:
     """In a process of its own: this one has loaded everything already."""
     code = f"import sys, {module}; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert module in loaded
+    return loaded
+
+
+@pytest.mark.parametrize("module", ["amr_slam.localizer", "amr_slam.engine"])
+def test_the_core_opens_no_device_and_knows_no_network(module: str) -> None:
+    loaded = loaded_with(module)
     assert not loaded & set(EDGES)
     assert not [name for name in loaded if name.startswith(("amr_drivers", "amr_slam.simulation"))]
+
+
+@pytest.mark.parametrize("module", ["amr_slam.wire", "amr_slam.client"])
+def test_controllers_need_none_of_the_robots_libraries(module: str) -> None:
+    loaded = loaded_with(module)
+    assert "pydantic" in loaded
+    assert not loaded & set(HEAVY)

@@ -17,9 +17,10 @@ import zenoh
 from messages import pose_of
 
 from amr_slam.cli import main
+from amr_slam.client import FleetListener, SessionError
 from amr_slam.keys import Credentials, KeysError, create, load, read_credentials
 from amr_slam.keys.site import Auth, Site, expires_soon
-from amr_slam.publishing import FleetListener, PublishingError, RobotPublisher
+from amr_slam.publishing import RobotPublisher
 from amr_slam.wire import ZenohSettings
 
 DEADLINE_S = 20.0
@@ -148,7 +149,7 @@ def test_strangers_are_not_let_in(tmp_path: Path, site: Site, auth: Auth) -> Non
     other.add_controller("main", 30, commands=True)
     with router(site, auth) as endpoint:
         for keys in (tmp_path / "other/fleet/main", None):
-            with pytest.raises(PublishingError):
+            with pytest.raises(SessionError):
                 FleetListener(endpoint, keys=keys, connect_timeout_s=2.0)
 
 
@@ -233,8 +234,8 @@ def test_a_damaged_authority_is_named_and_signs_nothing(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_keys_is_named(tmp_path: Path) -> None:
-    with pytest.raises(PublishingError, match=r"ca\.pem: No such file"):
+    with pytest.raises(SessionError, match=r"ca\.pem: No such file"):
         RobotPublisher(ZenohSettings(listen=(), keys=tmp_path), "amr7")
     (tmp_path / "login.json").write_text("[]")
-    with pytest.raises(PublishingError, match="no user and password"):
+    with pytest.raises(SessionError, match="no user and password"):
         RobotPublisher(ZenohSettings(listen=(), keys=tmp_path), "amr7")

@@ -18,7 +18,8 @@ import zenoh
 from messages import pose_of, status_of
 from paths import REPO
 
-from amr_slam.publishing import FleetListener, PublishingError, RobotPublisher, RobotView
+from amr_slam.client import FleetListener, RobotView, SessionError
+from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
 from amr_slam.wire import MAX_MESSAGE_BYTES, PoseMessage, StatusMessage, ZenohSettings
 
@@ -303,7 +304,7 @@ def test_a_listener_may_follow_some_robots_only(endpoint: str) -> None:
 
 def test_a_port_in_use_is_one_line(endpoint: str) -> None:
     settings = ZenohSettings(listen=(endpoint,))
-    with RobotPublisher(settings, "amr7"), pytest.raises(PublishingError) as refused:
+    with RobotPublisher(settings, "amr7"), pytest.raises(SessionError) as refused:
         RobotPublisher(settings, "amr8")
     assert endpoint in str(refused.value)
     assert "in use" in str(refused.value)
@@ -312,17 +313,17 @@ def test_a_port_in_use_is_one_line(endpoint: str) -> None:
 
 
 def test_nobody_at_the_endpoint_is_one_line(endpoint: str) -> None:
-    with pytest.raises(PublishingError, match=endpoint):
+    with pytest.raises(SessionError, match=endpoint):
         FleetListener(endpoint, connect_timeout_s=0.3)
 
 
 def test_a_name_that_makes_no_key_is_one_line_and_leaves_nothing_open(endpoint: str) -> None:
     with (
         RobotPublisher(ZenohSettings(listen=(endpoint,)), "amr7"),
-        pytest.raises(PublishingError, match="zenoh: "),
+        pytest.raises(SessionError, match="zenoh: "),
     ):
         FleetListener(endpoint, ["amr7//x"])
-    with pytest.raises(PublishingError, match="zenoh: "):
+    with pytest.raises(SessionError, match="zenoh: "):
         RobotPublisher(ZenohSettings(listen=(endpoint,)), "amr7?")
     RobotPublisher(ZenohSettings(listen=(endpoint,)), "amr7").close()  # the port is free again
 

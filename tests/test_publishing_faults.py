@@ -17,14 +17,15 @@ import pytest
 import zenoh
 from messages import pose_of, status_of
 
-from amr_slam.publishing import FleetListener, RobotPublisher
+from amr_slam.client import FleetListener
+from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
 from amr_slam.wire import ZenohSettings
 
 DEADLINE_S = 20.0
 LISTENER = """
 import sys
-from amr_slam.publishing import FleetListener
+from amr_slam.client import FleetListener
 
 with FleetListener(sys.argv[1], ["amr7"]) as fleet:
     while fleet.next_pose(20.0) is not None:

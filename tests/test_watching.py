@@ -13,7 +13,8 @@ import pytest
 from messages import WELL, pose_of, status_of
 from rich.console import Console
 
-from amr_slam.publishing import PublishingError, RobotPublisher, RobotView
+from amr_slam.client import RobotView, SessionError
+from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
 from amr_slam.watching import line, table, watch
 from amr_slam.wire import UNKNOWN, CandidatePart, ZenohSettings
@@ -177,5 +178,5 @@ def test_watch_without_anybody_there_says_so(monkeypatch: pytest.MonkeyPatch) ->
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     monkeypatch.setattr("amr_slam.watching._CONNECT_TIMEOUT_S", 0.3)
-    with pytest.raises(PublishingError, match=endpoint):
+    with pytest.raises(SessionError, match=endpoint):
         watch(endpoint)

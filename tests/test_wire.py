@@ -12,16 +12,26 @@ from hypothesis import strategies as st
 from messages import status_of
 from pydantic import ValidationError
 
-from amr_slam.geometry import Pose2
+from amr_slam.geometry import Array, Pose2
+from amr_slam.reporting import (
+    candidate_part,
+    health_part,
+    map_from_base,
+    pose_message,
+    scan_message,
+)
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.wire import (
+    COMMANDS,
     MAX_MESSAGE_BYTES,
+    MAX_SCAN_POINTS,
     UNKNOWN,
-    CandidatePart,
     HealthPart,
+    MapImage,
     MapPart,
     OdomPose,
     PoseMessage,
+    ScanMessage,
     StatusMessage,
     WireError,
     json_schemas,
@@ -115,7 +125,7 @@ def estimate(**changes: Any) -> PoseEstimate:
 
 
 def message(**changes: Any) -> PoseMessage:
-    return PoseMessage.from_estimate(
+    return pose_message(
         estimate(**changes),
         robot="amr7",
         seq=41,
@@ -155,7 +165,7 @@ def test_a_pose_has_the_contracts_fields_and_the_estimates_values() -> None:
     }
     assert message().epoch_delta is None
     assert set(PoseMessage.model_fields) == POSE_FIELDS | ADDED
-    assert message().map_from_base == Pose2(1.0, 2.0, 3.0)
+    assert map_from_base(message()) == Pose2(1.0, 2.0, 3.0)
 
 
 def test_what_is_not_known_yet_is_a_large_number_not_infinity() -> None:
@@ -164,8 +174,8 @@ def test_what_is_not_known_yet_is_a_large_number_not_infinity() -> None:
 
 
 def test_a_status_has_the_contracts_content() -> None:
-    ok = HealthPart.of(Health(link=Link.OK, age_s=0.1, rate_hz=0.5, samples=9, errors=1))
-    lost = HealthPart.of(Health(link=Link.LOST, detail="no such port"))
+    ok = health_part(Health(link=Link.OK, age_s=0.1, rate_hz=0.5, samples=9, errors=1))
+    lost = health_part(Health(link=Link.LOST, detail="no such port"))
     status = StatusMessage(
         robot="amr7",
         seq=0,
@@ -307,7 +317,7 @@ def test_messages_do_not_change() -> None:
 
 def test_a_status_tells_where_an_ambiguous_robot_may_be() -> None:
     places = [
-        CandidatePart.of(Candidate(map_from_base=Pose2(x, 2.0, -0.5), odds=odds))
+        candidate_part(Candidate(map_from_base=Pose2(x, 2.0, -0.5), odds=odds))
         for x, odds in ((1.0, 0.6), (9.0, 0.3))
     ]
     said = status_of(candidates=tuple(places), explained=0.8)
@@ -330,7 +340,7 @@ def test_a_status_tells_where_an_ambiguous_robot_may_be() -> None:
 
 def test_schemas_are_json_and_name_every_field() -> None:
     schemas = json.loads(json.dumps(json_schemas()))
-    assert set(schemas) == {"pose", "status"}
+    assert set(schemas) == {"pose", "status", "scan", "map_image", "reply", *COMMANDS}
     assert set(schemas["pose"]["properties"]) == POSE_FIELDS | ADDED
     assert POSE_FIELDS - {"v"} <= set(schemas["pose"]["required"])
     covariance = schemas["pose"]["properties"]["covariance"]
@@ -341,3 +351,52 @@ def test_schemas_are_json_and_name_every_field() -> None:
 def test_a_robots_name_is_found_in_its_keys() -> None:
     assert robot_key("works/amr", "amr7", "pose") == "works/amr/amr7/pose"
     assert robot_of("works/amr/amr7/pose") == "amr7"
+
+
+def scan(points: Array, map_id: str | None = MAP_ID) -> ScanMessage:
+    return scan_message(
+        points,
+        robot="amr7",
+        seq=3,
+        stamp_ns=5_000_000_000,
+        utc_from_monotonic_ns=1_700_000_000_000_000_000,
+        map_id=map_id,
+        epoch=1,
+    )
+
+
+def test_a_scan_is_rounded_thinned_out_and_fits_into_a_message() -> None:
+    sent = scan(np.array([[1.00049, -2.0], [0.0, 3.14159]]))
+    assert json.loads(sent.encode()) == {
+        "v": 1,
+        "robot": "amr7",
+        "seq": 3,
+        "stamp": 1_700_000_005.0,
+        "map": MAP_ID,
+        "epoch": 1,
+        "points": [[1.0, -2.0], [0.0, 3.142]],
+    }
+    assert ScanMessage.decode(sent.encode()) == sent
+    assert scan(np.empty((0, 2)), None).points == ()
+    many = scan(np.column_stack([np.arange(2 * MAX_SCAN_POINTS + 1), np.full(4001, -99_999.123)]))
+    assert len(many.points) == 1334
+    assert many.points[1] == (3.0, -99_999.123)
+    widest = scan(np.full((MAX_SCAN_POINTS, 2), -99_999.123))
+    assert len(widest.encode()) <= MAX_MESSAGE_BYTES
+    with pytest.raises(ValueError, match="finite"):
+        scan(np.array([[math.inf, 0.0]]))
+
+
+def test_the_picture_of_a_map_says_where_it_lies() -> None:
+    said = MapImage(
+        map=MAP_ID,
+        width_px=800,
+        height_px=600,
+        metres_per_px=0.05,
+        column_of_x0_px=400.0,
+        row_of_y0_px=300.5,
+    )
+    assert MapImage.decode(said.encode()) == said
+    for bad in ({"width_px": 0}, {"height_px": 10**6}, {"metres_per_px": 0.0}):
+        with pytest.raises(WireError, match=f"^map_image: {next(iter(bad))}: "):
+            MapImage.decode(json.dumps(json.loads(said.encode()) | bad).encode())

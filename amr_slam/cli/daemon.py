@@ -7,13 +7,13 @@ from typing import Final
 
 from amr_slam import service
 from amr_slam.cli.outputs import UsageError, check_outputs
+from amr_slam.client import SessionError
 from amr_slam.config import ConfigError
-from amr_slam.publishing import PublishingError
 
 FAILURES: Final[dict[type[Exception], int]] = {
     UsageError: 2,
     ConfigError: 2,
-    PublishingError: 1,
+    SessionError: 1,
 }
 
 

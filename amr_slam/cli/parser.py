@@ -17,6 +17,7 @@ MODULES: Final = {
     "localize": "amr_slam.cli.localizing",
     "map": "amr_slam.cli.maps",
     "watch": "amr_slam.cli.fleet",
+    "call": "amr_slam.cli.fleet",
     "keys": "amr_slam.cli.keys",
 }
 """Where a command is done: a module with ``run(arguments) -> status`` and ``FAILURES``, the
@@ -51,6 +52,7 @@ def make_parser() -> argparse.ArgumentParser:
     _add_localize(commands)
     _add_map(commands)
     _add_watch(commands)
+    _add_call(commands)
     _add_keys(commands)
     return parser
 
@@ -238,15 +240,42 @@ def _add_watch(commands: Subparsers[_Parser]) -> None:
         "amr-slam watch --connect tcp/192.168.1.20:7447 amr7",
         "One line a second and robot where standard output is no terminal.",
     )
-    watch.add_argument(
+    _add_session(watch)
+    watch.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
+
+
+def _add_call(commands: Subparsers[_Parser]) -> None:
+    call = _command(
+        commands,
+        "call",
+        "sends a command to a robot and prints the reply",
+        """amr-slam call amr7 set_pose '{"x": 1.5, "y": 2.0, "theta": 0.0, "radius": 3.0}'""",
+        "Commands: set_pose {x, y, theta, radius} (m, rad; searched), resume_pose {x, y, theta} "
+        "(taken as is), relocalize, start_mapping {name}, save_map {name}, load_map {name}, "
+        "save_recording {reason}. Status 1 when the robot refuses or does not answer.",
+    )
+    _add_session(call)
+    call.add_argument(
+        "--timeout",
+        metavar="S",
+        type=_seconds,
+        default=10.0,
+        help="how long to wait for the reply (default 10)",
+    )
+    call.add_argument("robot", metavar="ROBOT")
+    call.add_argument("what", metavar="COMMAND")
+    call.add_argument("arguments", metavar="JSON", nargs="?", default="{}", help="default {}")
+
+
+def _add_session(parser: _Parser) -> None:
+    parser.add_argument(
         "--connect",
         metavar="ENDPOINT",
         help="a robot's or router's Zenoh endpoint (default: this computer)",
     )
-    watch.add_argument(
+    parser.add_argument(
         "--keys", metavar="FOLDER", type=Path, help="what 'amr-slam keys fleet NAME' wrote"
     )
-    watch.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
 
 
 def _add_keys(commands: Subparsers[_Parser]) -> None:

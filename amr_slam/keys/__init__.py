@@ -5,7 +5,7 @@ Each robot may publish its own keys and nothing else, only named controllers may
 has no certificate of the site is not let in (docs/security.md).
 """
 
-from amr_slam.keys.credentials import Credentials, CredentialsError, read_credentials
+from amr_slam.credentials import Credentials, CredentialsError, read_credentials
 from amr_slam.keys.site import KeysError, Member, Site, create, load
 
 __all__ = [

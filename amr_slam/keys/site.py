@@ -16,7 +16,7 @@ from typing import Annotated, Final, Literal
 from annotated_types import Len
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from amr_slam.keys import credentials
+from amr_slam import credentials
 from amr_slam.keys.authority import KeyPair, issue, new_authority
 from amr_slam.keys.rules import access_control, member
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +63,28 @@ def occupancy_image(grown: PointMap, resolution_m: float | None = None) -> Occup
         x_min_m=float(low[0]) * resolution,
         y_min_m=float(low[1]) * resolution,
     )
+
+
+def image_within(grown: PointMap, resolution_m: float | None, max_pixels: int) -> OccupancyImage:
+    """The map as pixels of ``resolution_m`` (None: of a wall cell), or of more where there would be
+    more than ``max_pixels``."""
+    x_min, y_min, x_max, y_max = grown.bounds()
+    least_m = math.sqrt((x_max - x_min + 1.0) * (y_max - y_min + 1.0) / max_pixels)
+    return occupancy_image(grown, max(resolution_m or grown.params.cell_m, least_m))
+
+
+def png_bytes(image: OccupancyImage) -> bytes:
+    """A greyscale PNG file of an image. Source: ISO/IEC 15948, 5 (chunks), 6.2 and 11.2."""
+    rows, columns = image.pixels.shape
+    header = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
+    unfiltered = np.zeros((rows, 1), dtype=np.uint8)  # each row begins with its filter's number
+    content = zlib.compress(np.hstack([unfiltered, image.pixels]).tobytes(), 6)
+    chunks = ((b"IHDR", header), (b"IDAT", content), (b"IEND", b""))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(name, data) for name, data in chunks)
+
+
+def _chunk(name: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def _spread(centres: Array, cell_m: float, pixel_m: float) -> Array:

@@ -179,6 +179,17 @@ def decode(data: bytes) -> tuple[PointMap, uuid.UUID]:
         raise MapError(f"the file's content makes no sense: {error}") from error
 
 
+def identity(data: bytes) -> uuid.UUID:
+    """The UUID in a file's bytes, whose content is not looked at. Raises MapError."""
+    start = len(MAGIC) + _LENGTH.size
+    if not data.startswith(MAGIC) or len(data) < start + _DIGEST_BYTES:
+        raise MapError("not a map file")
+    try:
+        return uuid.UUID(str(_header(data[:-_DIGEST_BYTES], start).get("uuid")))
+    except ValueError as error:
+        raise MapError("the file is damaged (header)") from error
+
+
 def _header(body: bytes, start: int) -> dict[str, Any]:
     (length,) = _LENGTH.unpack_from(body, len(MAGIC))
     if length > min(_MAX_HEADER_BYTES, len(body) - start):

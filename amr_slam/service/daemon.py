@@ -19,15 +19,20 @@ from types import FrameType
 from typing import Final
 
 from amr_slam.config import Config, ConfigError, load
+from amr_slam.engine import SlamRequest, SlamResult
 from amr_slam.localizer import Localizer, Sample
 from amr_slam.publishing import RobotPublisher
-from amr_slam.samples import DriveSample, Scan
+from amr_slam.samples import DriveSample, Outcome, Scan
 from amr_slam.service.clocks import PoseSchedule
+from amr_slam.service.commands import Commands
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+from amr_slam.service.pipe import FromWorker
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.reporting import Reporter
 from amr_slam.service.systemd import Notifier
-from amr_slam.service.worker import FromWorker, SlamWorker
+from amr_slam.service.tasks import Tasks
+from amr_slam.service.worker import SlamWorker
+from amr_slam.serving import Asked
 from amr_slam.slam_process import SlamJob
 
 _log = logging.getLogger(__name__)
@@ -36,14 +41,15 @@ _log = logging.getLogger(__name__)
 _SAVE_LIMIT_S: Final = 3.5
 _CLOSE_LIMIT_S: Final = 1.0
 
-_Item = Scan | DriveSample | DeviceEnded | FromWorker
+_Item = Scan | DriveSample | DeviceEnded | FromWorker | Asked
+_FITTING: Final = frozenset({Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET})
 
 
 def run(config_path: Path, record: Path | None = None) -> int:
     """Localize until SIGTERM (0) or SIGINT (130); SIGUSR1 saves what was recorded last.
 
     ``record``: a file for all that is recorded, from the start. Raises ConfigError,
-    PublishingError, OSError when ``record`` cannot be written, and RuntimeError where a driver
+    SessionError, OSError when ``record`` cannot be written, and RuntimeError where a driver
     failed in a way that no driver may: systemd starts anew. A device that is missing is waited for.
     """
     config = load(config_path)
@@ -75,7 +81,9 @@ def startup(
     for device in devices:
         device.start()
     reporter = Reporter(config, publisher, worker, wheels, scanners, recorder)
-    return Daemon(config, config_path, inbox, worker, reporter, recorder, signals)
+    daemon = Daemon(config, config_path, inbox, worker, reporter, recorder, signals)
+    publisher.serve(inbox.put)
+    return daemon
 
 
 def main_loop(daemon: Daemon) -> int:
@@ -122,17 +130,24 @@ class Daemon:
             {scanner.name: scanner.mounting.mounting for scanner in config.scanners},
             config.map.mode,
         )
+        self._tasks = Tasks(worker)
+        self._commands = Commands(config, self._localizer, worker, self._tasks, recorder)
+        self._handed_out: SlamRequest | None = None
         self._schedule = PoseSchedule(config.service.publish_hz, time.monotonic_ns())
 
     def turn(self) -> None:
         """Wait for what comes next, at most until a pose is due; take it in; tell the world."""
         samples = self._sorted(self._take_out())
         for sample in samples:
-            self._localizer.handle(sample)
+            outcome = self._localizer.handle(sample)
             if isinstance(sample, Scan | DriveSample):
                 self._recorder.take(sample)
+            if isinstance(sample, SlamResult) and outcome in _FITTING:
+                self._show_scan(sample)
         self._hand_out_request()
+        self._tasks.submit()
         now_ns = time.monotonic_ns()
+        self._commands.turn(now_ns)
         self._worker.supervise(now_ns)
         wheels_came = any(isinstance(s, DriveSample) for s in samples)
         if self._schedule.takes(now_ns, wheels_came=wheels_came):
@@ -157,12 +172,17 @@ class Daemon:
         for item in items:
             if isinstance(item, DeviceEnded):
                 self._give_up(item)
+            elif isinstance(item, Asked):
+                self._commands.take(item, time.monotonic_ns())
             elif not isinstance(item, FromWorker):
                 samples.append(item)
-            elif (answer := self._worker.hear(item)) is not None:
+            elif isinstance(answer := self._worker.hear(item), SlamResult):
                 samples.append(answer)
+            elif answer is not None:
+                self._tasks.heard(answer)
             elif item.message is None:
                 self._localizer.drop_request()
+                self._tasks.lost()
         if self._worker.refusal is not None:
             raise ConfigError(self._worker.refusal, ("map", "path"), self._config_path)
         return sorted(samples, key=lambda sample: sample.stamp_ns)
@@ -178,10 +198,21 @@ class Daemon:
         request = self._localizer.take_request()
         if request is None:
             return
-        if self._worker.idle:
+        if self._worker.idle and not self._tasks.first:
             self._worker.submit(request)
+            self._tasks.yield_turn()
+            self._handed_out = request
         else:
             self._localizer.drop_request()
+
+    def _show_scan(self, result: SlamResult) -> None:
+        """Where the estimate has it: what people see beside the pose must agree with it."""
+        request, known = self._handed_out, self._localizer.filter
+        if request is None or known is None or request.cloud.stamp_ns != result.stamp_ns:
+            return
+        at = known.pose_at(result.stamp_ns)
+        if at is not None:
+            self._reporter.publish_scan(request.cloud, at[0])
 
     def _notify(self, now_ns: int, summary: str | None) -> None:
         if not self._is_ready and self._worker.ready:

@@ -10,9 +10,19 @@ from importlib.metadata import version
 from os import getpid
 from typing import Final
 
+from amr_slam.clouds import Cloud
 from amr_slam.config import Config
 from amr_slam.fusion import Calibration
+from amr_slam.geometry import Pose2
 from amr_slam.publishing import RobotPublisher
+from amr_slam.reporting import (
+    calibration_part,
+    candidate_part,
+    health_part,
+    pose_message,
+    scan_message,
+    slip_part,
+)
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
@@ -20,15 +30,7 @@ from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
 from amr_slam.wheel_events import WheelEvent
-from amr_slam.wire import (
-    CalibrationPart,
-    CandidatePart,
-    HealthPart,
-    MapPart,
-    PoseMessage,
-    SlipPart,
-    StatusMessage,
-)
+from amr_slam.wire import HealthPart, MapPart, StatusMessage
 
 _log = logging.getLogger(__name__)
 
@@ -63,7 +65,8 @@ class Reporter:
         self._version = version("amr-slam")
         self._started_ns = self._told_ns = self._looked_ns = time.monotonic_ns()
         self._told: tuple[object, ...] = ()
-        self._poses = self._statuses = 0
+        self._poses = self._statuses = self._scans = 0
+        self._epoch = 0
         self._state = State.STARTING
         self._pose_fault: str | None = None
         self._candidates: tuple[Candidate, ...] = ()
@@ -82,10 +85,11 @@ class Reporter:
             return
         if estimate.state is not self._state:
             _log.info("state: %s, was %s", estimate.state, self._state)
+        self._epoch = estimate.epoch
         self._state, self._pose_fault = estimate.state, estimate.fault
         self._candidates, self._explained = estimate.candidates, estimate.explained
         active = self._worker.active_map
-        message = PoseMessage.from_estimate(
+        message = pose_message(
             replace(estimate, fault=_joined(estimate.fault, self._fault)),
             robot=self._config.robot.name,
             seq=self._poses,
@@ -95,6 +99,26 @@ class Reporter:
         self._poses += 1
         self._publisher.publish_pose(message)
         self._recorder.published(message)
+
+    def publish_scan(self, cloud: Cloud, map_from_base: Pose2) -> None:
+        """The points of a scan that was registered, unless nobody wants any."""
+        most = self._config.zenoh.scan_points
+        if not most:
+            return
+        points = map_from_base @ cloud.take(cloud.even(most)).points_m
+        active = self._worker.active_map
+        self._publisher.publish_scan(
+            scan_message(
+                points,
+                robot=self._config.robot.name,
+                seq=self._scans,
+                stamp_ns=cloud.stamp_ns,
+                utc_from_monotonic_ns=self._clock.utc_from_monotonic_ns,
+                map_id=active.map_id if active is not None else None,
+                epoch=self._epoch,
+            )
+        )
+        self._scans += 1
 
     def report(self, now_ns: int, outcomes: Mapping[str, int]) -> str | None:
         """Publish the status if it is time to; then one line of it, for systemd."""
@@ -108,6 +132,8 @@ class Reporter:
             self._state,
             tuple(part.link for part in parts.values()),
             active.map_id if active is not None else None,
+            self._worker.mode,
+            self._epoch,
             self._clock.steps,
             len(self._candidates),
             self._slips[-1:],
@@ -138,7 +164,7 @@ class Reporter:
             seq=self._statuses,
             stamp=(now_ns + self._clock.utc_from_monotonic_ns) / 1e9,
             state=self._state,
-            mode=self._config.map.mode,
+            mode=self._worker.mode,
             map=None
             if active is None
             else MapPart(id=active.map_id, name=active.name, version=active.scans),
@@ -152,13 +178,11 @@ class Reporter:
             cpu_percent=cpu_percent,
             memory_mb=memory_mb,
             fault=_joined(self._pose_fault, self._fault),
-            candidates=tuple(CandidatePart.of(one) for one in self._candidates),
+            candidates=tuple(candidate_part(one) for one in self._candidates),
             explained=self._explained,
-            calibration=None
-            if self._calibration is None
-            else CalibrationPart.of(self._calibration),
+            calibration=None if self._calibration is None else calibration_part(self._calibration),
             slips=tuple(
-                SlipPart.of(event, self._clock.utc_from_monotonic_ns) for event in self._slips
+                slip_part(event, self._clock.utc_from_monotonic_ns) for event in self._slips
             ),
         )
 
@@ -187,4 +211,4 @@ def _joined(*faults: str | None) -> str | None:
 
 def _part(health: Health) -> HealthPart:
     detail = health.detail
-    return HealthPart.of(replace(health, detail=detail and detail[:_MAX_DETAIL]))
+    return health_part(replace(health, detail=detail and detail[:_MAX_DETAIL]))

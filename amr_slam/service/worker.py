@@ -17,33 +17,39 @@ import uuid
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
-from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final
 
 from amr_slam import slam_process
-from amr_slam.engine import SlamRequest, SlamResult
+from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.samples import Health, Link
-from amr_slam.slam_process import Ready, Refused, Saved, SlamJob, Stop
+from amr_slam.service.pipe import FromWorker, Outgoing, receive, send
+from amr_slam.slam_process import (
+    Declined,
+    Drawn,
+    Ready,
+    Refused,
+    Saved,
+    SlamJob,
+    Stop,
+    Stored,
+    Switched,
+    Task,
+    TaskAnswer,
+)
 
 _log = logging.getLogger(__name__)
 
 _START_LIMIT_NS: Final = 60_000_000_000
 """From the start to Ready: imports on a slow computer and a large map."""
+_TASK_LIMIT_NS: Final = 60_000_000_000
+"""For a task: to load, to write or to draw the largest map on a slow computer."""
 _PULSE_GRACE_NS: Final = 2_000_000_000
 """A process that outlives its kill by this much hangs in the kernel: the pulse stops."""
 _END_S: Final = 0.2
 """What the kernel may take to end a process whose pipe has ended."""
 _FIRST_RETRY_NS: Final = 500_000_000
 _LAST_RETRY_NS: Final = 5_000_000_000
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FromWorker:
-    """What a process sent; None when its pipe has ended."""
-
-    generation: int
-    message: Ready | Refused | Saved | SlamResult | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +79,7 @@ class SlamWorker:
         self._restart_ns: int | None = None
         self._ready = False
         self._deadline_ns: int | None = None
+        self._limit_ns = self._answer_limit_ns
         self._answered_ns: int | None = None
         self._answers = 0
         self._crashes = 0
@@ -90,7 +97,7 @@ class SlamWorker:
 
     @property
     def idle(self) -> bool:
-        """Whether a request may be submitted."""
+        """Whether a request or a task may be submitted."""
         return self._ready and self._deadline_ns is None
 
     @property
@@ -103,12 +110,25 @@ class SlamWorker:
         """Of the present process."""
         return self._process.pid
 
-    def submit(self, request: SlamRequest) -> None:
-        """Hand over one request; only while idle."""
-        self._deadline_ns = time.monotonic_ns() + self._answer_limit_ns
+    @property
+    def job(self) -> SlamJob:
+        """What the process does, or a new one would begin with."""
+        return self._job
+
+    @property
+    def mode(self) -> Mode:
+        """Of the job."""
+        return self._job.mode
+
+    def submit(self, request: SlamRequest | Task) -> None:
+        """Hand over one request or task; only while idle."""
+        self._limit_ns = (
+            self._answer_limit_ns if isinstance(request, SlamRequest) else _TASK_LIMIT_NS
+        )
+        self._deadline_ns = time.monotonic_ns() + self._limit_ns
         self._outbox.put(request)
 
-    def hear(self, received: FromWorker) -> SlamResult | None:
+    def hear(self, received: FromWorker) -> SlamResult | TaskAnswer | None:
         """Take in what the process sent; the answer, if it was one."""
         message = received.message
         if received.generation != self._generation:
@@ -125,6 +145,9 @@ class SlamWorker:
             case SlamResult():
                 self._on_answer(message)
                 return message
+            case Switched() | Stored() | Drawn() | Declined():
+                self._on_task_answer(message)
+                return message
             case None:
                 self._on_death()
         return None
@@ -137,7 +160,7 @@ class SlamWorker:
         overdue = self._deadline_ns is not None and now_ns > self._deadline_ns
         if overdue and self._killed_for is None:
             self._killed_for = (
-                f"no answer within {1e-9 * self._answer_limit_ns:g} s"
+                f"no answer within {1e-9 * self._limit_ns:g} s"
                 if self._ready
                 else f"not ready within {1e-9 * _START_LIMIT_NS:g} s"
             )
@@ -188,7 +211,7 @@ class SlamWorker:
         self._killed_for = None
         self._rate_hz = 0.0
         self._deadline_ns = time.monotonic_ns() + _START_LIMIT_NS
-        self._outbox: queue.SimpleQueue[SlamRequest | Stop | None] = queue.SimpleQueue()
+        self._outbox: queue.SimpleQueue[Outgoing] = queue.SimpleQueue()
         self._process: SpawnProcess = context.Process(
             target=slam_process.serve, args=(theirs, self._job), name="slam", daemon=True
         )
@@ -205,9 +228,9 @@ class SlamWorker:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         theirs.close()  # with the last copy in the child, its end is the pipe's end
         # Daemons: a process that hangs must not keep the program from ending.
-        threading.Thread(target=_send, args=(ours, self._outbox), daemon=True).start()
+        threading.Thread(target=send, args=(ours, self._outbox), daemon=True).start()
         self._receiver = threading.Thread(
-            target=_receive, args=(ours, self._sink, self._generation), daemon=True
+            target=receive, args=(ours, self._sink, self._generation), daemon=True
         )
         self._receiver.start()
 
@@ -218,12 +241,24 @@ class SlamWorker:
             self._detail = None
         else:
             self._complain(f"{self._detail}; {self._after_crash()}")
-        map_id = self._run_id or message.map_id
-        if map_id is not None:
-            self.active_map = ActiveMap(
-                map_id=map_id, name=message.map_name, scans=message.map_scans
-            )
+        self._on_map(message)
         _log.info("slam: ready, map %s of %d scans", message.map_name, message.map_scans)
+
+    def _on_map(self, ready: Ready) -> None:
+        map_id = self._run_id or ready.map_id
+        if map_id is not None:
+            self.active_map = ActiveMap(map_id=map_id, name=ready.map_name, scans=ready.map_scans)
+
+    def _on_task_answer(self, message: TaskAnswer) -> None:
+        self._deadline_ns = None
+        if isinstance(message, Switched):
+            self._job = message.job
+            self._run_id = str(uuid.uuid4()) if self.mode == "mapping" else None
+            self._detail = self.fault = None
+            self._on_map(message.ready)
+            _log.info("slam: %s, map %s", self.mode, message.ready.map_name)
+        elif isinstance(message, Stored) and message.path == self._job.target:
+            self._on_saved(Saved(map_scans=message.map_scans, error=None))
 
     def _after_crash(self) -> str:
         if self._job.source is not None:
@@ -282,24 +317,3 @@ def _told(exitcode: int | None) -> str:
     if exitcode < 0:
         return f"killed by {signal.Signals(-exitcode).name}"
     return f"ended with exit status {exitcode}"
-
-
-def _send(pipe: Connection, outbox: queue.SimpleQueue[SlamRequest | Stop | None]) -> None:
-    """A thread: waits where a full pipe makes one wait."""
-    while (request := outbox.get()) is not None:
-        try:
-            pipe.send(request)
-        except OSError:
-            return  # told by the receiving end
-
-
-def _receive(pipe: Connection, sink: Callable[[FromWorker], object], generation: int) -> None:
-    """A thread: all that the process sends, then its end."""
-    message: Ready | Refused | Saved | SlamResult | None
-    while True:
-        try:
-            message = pipe.recv()
-        except (EOFError, OSError):
-            sink(FromWorker(generation=generation, message=None))
-            return
-        sink(FromWorker(generation=generation, message=message))

@@ -1,0 +1,30 @@
+"""What a robot answers on Zenoh beside its newest messages: commands, and its map.
+
+Queries come in on zenoh's threads, are checked there, and wait for nobody: one thread a desk hands
+them to the loop, waits for what becomes of them, and answers, as an answer may have to wait for a
+slow network.
+"""
+
+from amr_slam.serving.asked import (
+    Asked,
+    ImageWanted,
+    MapFile,
+    MapWanted,
+    NotDone,
+    Picture,
+    Put,
+)
+from amr_slam.serving.commands import CommandDesk
+from amr_slam.serving.maps import MapDesk
+
+__all__ = [
+    "Asked",
+    "CommandDesk",
+    "ImageWanted",
+    "MapDesk",
+    "MapFile",
+    "MapWanted",
+    "NotDone",
+    "Picture",
+    "Put",
+]

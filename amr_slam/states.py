@@ -1,0 +1,16 @@
+"""What a pose is worth. Standard library only: also those know it who only read poses."""
+
+from __future__ import annotations
+
+import enum
+
+
+class State(enum.StrEnum):
+    """What a published pose is worth (contracts: ``state``)."""
+
+    STARTING = "starting"
+    LOCALIZED = "localized"
+    ODOMETRY_ONLY = "odometry_only"
+    LOST = "lost"
+    AMBIGUOUS = "ambiguous"
+    MAPPING = "mapping"
