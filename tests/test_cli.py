@@ -156,7 +156,7 @@ def carmen_log() -> str:
 @pytest.mark.parametrize(
     "command",
     [["run"], ["check"], ["replay"], ["localize"], ["map"], ["map", "info"], ["map", "render"],
-     ["map", "export"], ["watch"]],
+     ["map", "export"], ["watch"], ["call"]],
 )  # fmt: skip
 def test_help_shows_an_example_of_the_command(command: list[str]) -> None:
     done = amr_slam(*command, "--help")
@@ -483,7 +483,8 @@ def test_run_and_check_hand_over_to_the_service(
 def test_watch_asks_whom_it_is_told_to(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[tuple[str, list[str]]] = []
 
-    def watch(endpoint: str, robots: list[str]) -> None:
+    def watch(endpoint: str, robots: list[str], *, keys: Path | None) -> None:
+        assert keys is None
         seen.append((endpoint, robots))
         if robots:
             raise SessionError(f"nobody at {endpoint}")
