@@ -20,12 +20,13 @@ from typing import Final
 import numpy as np
 
 from amr_drivers.emulators.robot import RobotModel, RobotProcess
-from amr_slam.client import FleetListener, RobotPublisher
+from amr_slam.client import FleetListener
 from amr_slam.clouds import cloud_from_scan
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.map.file import save_map
 from amr_slam.params import SlamParams
+from amr_slam.publishing import RobotPublisher
 from amr_slam.simulation import ScannerModel, plan_tour, take_scan
 from amr_slam.simulation.halls import hall
 from amr_slam.trial import DaemonProcess, adapted_config

@@ -141,6 +141,7 @@ def test_an_error_belongs_to_what_was_not_done(fields: dict[str, Any]) -> None:
 def test_a_refusal_is_one_bounded_line_whatever_went_wrong() -> None:
     assert CommandReply.refusing("").error == "failed"
     assert CommandReply.refusing(OSError("a\n  b")).error == "a b"
+    assert CommandReply.refusing(OSError("\udcff.mcap")).encode()
     assert CommandReply.refusing("x" * 900).error == "x" * 500
     with pytest.raises(ValidationError) as caught:
         SetPose(x=0.0, y=0.0, theta=0.0, radius=-1.0)

@@ -8,7 +8,6 @@ import zenoh
 
 from amr_slam.client.session import reason
 from amr_slam.wire import (
-    MAX_COMMAND_BYTES,
     MAX_MAP_BYTES,
     MAX_MESSAGE_BYTES,
     Command,
@@ -37,7 +36,7 @@ def call(
     """The robot's reply, whatever it says. Raises AskingError when none came within ``timeout_s``,
     or something else."""
     key = command_key(prefix, robot, command.kind)
-    reply = _ask(session, key, MAX_COMMAND_BYTES, timeout_s, command.encode())
+    reply = _ask(session, key, MAX_MESSAGE_BYTES, timeout_s, command.encode())
     try:
         return CommandReply.decode(reply.payload.to_bytes())
     except WireError as error:

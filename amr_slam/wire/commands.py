@@ -177,4 +177,5 @@ class CommandReply(Payload):
         """``error`` in one line of bounded length."""
         if isinstance(error, ValidationError):
             error = complaint(error)
-        return cls(ok=False, error=" ".join(str(error).split())[:500] or "failed")
+        text = str(error).encode(errors="replace").decode()  # names of files may be no text
+        return cls(ok=False, error=" ".join(text.split())[:500] or "failed")
