@@ -218,12 +218,12 @@ class PoseFilter:
     @property
     def since_fix_s(self) -> float:
         """Time from the last fix taken (its stamp) to now."""
-        return 1e-9 * (self.stamp_ns - self._current().fix_ns)
+        return 1e-9 * (self.stamp_ns - self._last.fix_ns)
 
     @property
     def since_fix_m(self) -> float:
         """Path since the last fix taken."""
-        return self._trail.travelled_m(self.stamp_ns) - self._current().fix_travel_m
+        return self._trail.travelled_m(self.stamp_ns) - self._last.fix_travel_m
 
     def pose_at(self, stamp_ns: int) -> tuple[Pose2, Array] | None:
         """Pose and (3, 3) covariance at a past instant from wheels and fixes up to it.
@@ -264,19 +264,15 @@ class PoseFilter:
         newest_ns = self.stamp_ns
         window_ns = round(1e9 * self.params.twist_window_s)
         since_ns = max(self._trail.start_ns, newest_ns - window_ns)
-        recent_s = 1e-9 * (newest_ns - since_ns)
         twist = np.zeros(3)
-        if recent_s > 0.0:
-            clocked = self._last.x[CALIBRATION] * np.array([1.0, 1.0, 1.0, 0.0])
-            twist = self._trail.compose(since_ns, newest_ns, clocked).delta.log() / recent_s
+        if newest_ns > since_ns:
+            twist = self._believed_twist(self._trail.twist_rate(since_ns, newest_ns))
         ahead_ns = max(0, min(now_ns - newest_ns, round(1e9 * self.params.max_extrapolation_s)))
-        state = self._current()
-        if ahead_ns > 0:
-            state = self._advanced(self._last, newest_ns + ahead_ns)
+        ahead = self._advanced(self._last, newest_ns + ahead_ns) if ahead_ns else self._current()
         return FilterEstimate(
             stamp_ns=newest_ns + ahead_ns,
-            map_from_base=state.pose,
-            covariance=state.covariance,
+            map_from_base=ahead.pose,
+            covariance=ahead.covariance,
             odom_from_base=self._odom_from_base @ Pose2.exp(1e-9 * ahead_ns * twist),
             vx_mps=float(twist[0]),
             omega_radps=float(twist[2]),
@@ -325,11 +321,14 @@ class PoseFilter:
 
     def _believed(self, delta: Pose2) -> Pose2:
         """One step of the wheels as calibrated now."""
-        travel, yaw, bend, _ = self._last.x[CALIBRATION]
-        if not (travel or yaw or bend):
+        if not self._last.x[CALIBRATION].any():
             return delta
-        x, y, turn = delta.log()
-        return Pose2.exp([(1.0 + travel) * x, (1.0 + travel) * y, (1.0 + yaw) * turn + bend * x])
+        return Pose2.exp(self._believed_twist(delta.log()))
+
+    def _believed_twist(self, twist: Array) -> Array:
+        travel, yaw, bend, _ = self._last.x[CALIBRATION]
+        x, y, turn = twist
+        return np.array([(1.0 + travel) * x, (1.0 + travel) * y, (1.0 + yaw) * turn + bend * x])
 
     def _doubt_newest(self) -> int:
         """Faster than physics: the last moment's wheels count for little. Returns its beginning."""
