@@ -67,7 +67,7 @@ class _State:
     @property
     def covariance(self) -> Array:
         """(3, 3) read-only, of the pose."""
-        return readonly(self.P[POSE, POSE] + self.doubt)
+        return readonly(symmetric(self.P[POSE, POSE] + self.doubt))
 
 
 class PoseFilter:
