@@ -12,16 +12,20 @@ from hypothesis import strategies as st
 from messages import status_of
 from pydantic import ValidationError
 
+from amr_slam.fusion import Calibration, Slip
 from amr_slam.geometry import Pose2
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
+from amr_slam.wheel_events import WheelEvent
 from amr_slam.wire import (
     MAX_MESSAGE_BYTES,
     UNKNOWN,
+    CalibrationPart,
     CandidatePart,
     HealthPart,
     MapPart,
     OdomPose,
     PoseMessage,
+    SlipPart,
     StatusMessage,
     WireError,
     json_schemas,
@@ -341,3 +345,16 @@ def test_schemas_are_json_and_name_every_field() -> None:
 def test_a_robots_name_is_found_in_its_keys() -> None:
     assert robot_key("works/amr", "amr7", "pose") == "works/amr/amr7/pose"
     assert robot_of("works/amr/amr7/pose") == "amr7"
+
+
+def test_what_is_known_of_the_wheels_is_told_as_scales_with_their_sigmas() -> None:
+    known = Calibration(travel=0.02, yaw=-0.05, bend_radpm=0.01, lag_s=0.1, travel_sigma=0.001)
+    part = CalibrationPart.of(known)
+    assert part.travel_scale == pytest.approx(1.02)
+    assert part.yaw_scale == pytest.approx(0.95)
+    assert (part.bend_radpm, part.lag_s, part.travel_scale_sigma) == (0.01, 0.1, 0.001)
+    slip = Slip(
+        stamp_ns=5_000_000_000, since_ns=3_000_000_000, forward_m=-0.3, left_m=0.0, turn_rad=0.2
+    )
+    event = SlipPart.of(WheelEvent(slip=slip, text="left wheel slips"), 1_000_000_000)
+    assert (event.stamp, event.forward_m, event.text) == (6.0, -0.3, "left wheel slips")
