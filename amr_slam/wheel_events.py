@@ -14,6 +14,8 @@ from amr_slam.samples import Motion
 KEPT: Final = 5
 # One wheel is to blame when the other's error is smaller than this share of its own.
 _BLAMELESS: Final = 0.35
+# Beyond this turn the two wheels' ways no longer follow from where the robot ended up.
+_STRAIGHT_RAD: Final = 0.7
 # A wheel that moved less than this while the robot did not stand was stuck, or its counter was.
 _STUCK_M: Final = 0.005
 
@@ -66,7 +68,7 @@ class WheelEvents:
 
     def _blamed(self, slip: Slip, reported: Motion | None) -> str:
         """Where the drive is differential, errors ahead and in turn tell the wheel."""
-        if self._track_m is None or reported is None:
+        if self._track_m is None or reported is None or abs(slip.turn_rad) > _STRAIGHT_RAD:
             return "wheels slip"
         half_m = 0.5 * self._track_m
         ahead_m, _, turn_rad = reported.delta.log()

@@ -38,7 +38,8 @@ def reported(left_m: float, right_m: float) -> Motion:
     [
         ("left wheel slips", slip(0.2, 0.0), reported(0.8, 0.6)),
         ("right wheel slips", slip(0.0, 0.3), reported(0.6, 0.9)),
-        ("left wheel stuck", slip(-0.6, 0.0), reported(0.0, 0.6)),
+        ("left wheel stuck", slip(-0.3, 0.0), reported(0.0, 0.3)),
+        ("wheels slip", slip(-0.6, 0.0), reported(0.0, 0.6)),
         ("wheels slip", slip(0.2, 0.2), reported(0.8, 0.8)),
     ],
 )

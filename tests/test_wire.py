@@ -12,15 +12,19 @@ from hypothesis import strategies as st
 from messages import status_of
 from pydantic import ValidationError
 
+from amr_slam.fusion import Calibration, Slip
 from amr_slam.geometry import Array, Pose2
 from amr_slam.reporting import (
+    calibration_part,
     candidate_part,
     health_part,
     map_from_base,
     pose_message,
     scan_message,
+    slip_part,
 )
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
+from amr_slam.wheel_events import WheelEvent
 from amr_slam.wire import (
     COMMANDS,
     MAX_MESSAGE_BYTES,
@@ -400,3 +404,16 @@ def test_the_picture_of_a_map_says_where_it_lies() -> None:
     for bad in ({"width_px": 0}, {"height_px": 10**6}, {"metres_per_px": 0.0}):
         with pytest.raises(WireError, match=f"^map_image: {next(iter(bad))}: "):
             MapImage.decode(json.dumps(json.loads(said.encode()) | bad).encode())
+
+
+def test_what_is_known_of_the_wheels_is_told_as_scales_with_their_sigmas() -> None:
+    known = Calibration(travel=0.02, yaw=-0.05, bend_radpm=0.01, lag_s=0.1, travel_sigma=0.001)
+    part = calibration_part(known)
+    assert part.travel_scale == pytest.approx(1.02)
+    assert part.yaw_scale == pytest.approx(0.95)
+    assert (part.bend_radpm, part.lag_s, part.travel_scale_sigma) == (0.01, 0.1, 0.001)
+    slip = Slip(
+        stamp_ns=5_000_000_000, since_ns=3_000_000_000, forward_m=-0.3, left_m=0.0, turn_rad=0.2
+    )
+    event = slip_part(WheelEvent(slip=slip, text="left wheel slips"), 1_000_000_000)
+    assert (event.stamp, event.forward_m, event.text) == (6.0, -0.3, "left wheel slips")

@@ -3,71 +3,20 @@
 from __future__ import annotations
 
 import bisect
-from dataclasses import dataclass, field, replace
-from typing import Final
 
 import numpy as np
 
-from amr_slam.fusion.covariance import (
-    floored,
-    sound,
-    symmetric,
-    usable_covariance,
-    usable_motion,
-    usable_pose,
-)
-from amr_slam.fusion.ekf import CALIBRATION, MEASURED, POSE, Ekf, residual, seen
-from amr_slam.fusion.slipping import LEAP_NS, explicable, leaps, missed, suspicious, told
-from amr_slam.fusion.trail import Composed, Trail
-from amr_slam.fusion.values import (
-    Calibration,
-    FilterEstimate,
-    FilterParams,
-    Innovation,
-    Slip,
-)
-from amr_slam.geometry import Array, Pose2, readonly
+from amr_slam.fusion.chain import Chain, State
+from amr_slam.fusion.covariance import symmetric, usable_covariance, usable_motion, usable_pose
+from amr_slam.fusion.ekf import CALIBRATION
+from amr_slam.fusion.slipping import LEAP_NS, leaps
+from amr_slam.fusion.trail import Trail
+from amr_slam.fusion.values import Calibration, FilterEstimate, FilterParams, Innovation, Slip
+from amr_slam.geometry import Array, Pose2
 from amr_slam.samples import Motion, Outcome, SlamPose
 
 # The trail may outgrow its length by this factor before it is cut, as cutting costs.
 _SLACK = 1.25
-# Two refused fixes are one place when the wheels' motion carries one onto the other (99.9 %).
-_AGREE_D2: Final = 16.27
-# By how much the distrust in wheels that slipped falls with each fix that they agree with.
-_FORGIVEN: Final = 3.0
-# By how much it grows with each further fix that they do not agree with.
-_OUTVOTED: Final = 10.0
-
-
-def _no_doubt() -> Array:
-    return np.zeros((3, 3))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _State:
-    """A snapshot: x (10,) and P (10, 10), which nobody changes in place, the last fix in them, and
-    what the fixes so far say of the wheels."""
-
-    stamp_ns: int
-    x: Array
-    P: Array
-    fix_ns: int
-    fix_travel_m: float
-    distrust: float = 1.0
-    """Factor on the wheels' variance."""
-    refused: tuple[SlamPose, Composed] | None = None
-    """The last fix where it was refused, with the wheels' motion up to it."""
-    doubt: Array = field(default_factory=_no_doubt)
-    """(3, 3) more covariance while a refused fix may yet turn out to be right."""
-
-    @property
-    def pose(self) -> Pose2:
-        return Pose2.from_array(self.x[POSE])
-
-    @property
-    def covariance(self) -> Array:
-        """(3, 3) read-only, of the pose."""
-        return readonly(self.P[POSE, POSE] + self.doubt)
 
 
 class PoseFilter:
@@ -87,14 +36,14 @@ class PoseFilter:
         if not (usable_pose(map_from_base) and usable_covariance(covariance)):
             raise ValueError("the first pose must be finite, its covariance positive definite")
         self.params = params
-        self._ekf = Ekf(params)
         self._trail = Trail(stamp_ns)
+        self._chain = Chain(params, self._trail)
         self._odom_from_base = Pose2.identity()
         self._epoch = 0
         self._innovation: Innovation | None = None
-        self._now: _State | None = None
+        self._now: State | None = None
         self._leap: Slip | None = None
-        self._start(stamp_ns, self._ekf.start(map_from_base, covariance))
+        self._start(self._chain.begun(stamp_ns, map_from_base, covariance))
 
     # -- what comes in
 
@@ -156,7 +105,7 @@ class PoseFilter:
         at_ns = min(stamp_ns, self.stamp_ns)
         before = self._state_at(max(at_ns, self._base.stamp_ns))
         known = before.x[CALIBRATION], before.P[CALIBRATION, CALIBRATION]
-        self._start(at_ns, self._ekf.start(map_from_base, covariance, known))
+        self._start(self._chain.begun(at_ns, map_from_base, covariance, known))
         self._epoch += 1
         return Outcome.RESET
 
@@ -218,12 +167,13 @@ class PoseFilter:
     @property
     def since_fix_s(self) -> float:
         """Time from the last fix taken (its stamp) to now."""
-        return 1e-9 * (self.stamp_ns - self._current().fix_ns)
+        return 1e-9 * (self.stamp_ns - self._last.fix_ns)
 
     @property
     def since_fix_m(self) -> float:
         """Path since the last fix taken."""
-        return self._trail.travelled_m(self.stamp_ns) - self._current().fix_travel_m
+        reported = self._trail.reported(self.stamp_ns)
+        return reported.since(self._last.fix_reported).travel_m
 
     def pose_at(self, stamp_ns: int) -> tuple[Pose2, Array] | None:
         """Pose and (3, 3) covariance at a past instant from wheels and fixes up to it.
@@ -264,19 +214,17 @@ class PoseFilter:
         newest_ns = self.stamp_ns
         window_ns = round(1e9 * self.params.twist_window_s)
         since_ns = max(self._trail.start_ns, newest_ns - window_ns)
-        recent_s = 1e-9 * (newest_ns - since_ns)
         twist = np.zeros(3)
-        if recent_s > 0.0:
-            clocked = self._last.x[CALIBRATION] * np.array([1.0, 1.0, 1.0, 0.0])
-            twist = self._trail.compose(since_ns, newest_ns, clocked).delta.log() / recent_s
+        if newest_ns > since_ns:
+            twist = self._believed_twist(self._trail.twist_rate(since_ns, newest_ns))
         ahead_ns = max(0, min(now_ns - newest_ns, round(1e9 * self.params.max_extrapolation_s)))
-        state = self._current()
-        if ahead_ns > 0:
-            state = self._advanced(self._last, newest_ns + ahead_ns)
+        ahead = (
+            self._chain.advanced(self._last, newest_ns + ahead_ns) if ahead_ns else self._current()
+        )
         return FilterEstimate(
             stamp_ns=newest_ns + ahead_ns,
-            map_from_base=state.pose,
-            covariance=state.covariance,
+            map_from_base=ahead.pose,
+            covariance=ahead.covariance,
             odom_from_base=self._odom_from_base @ Pose2.exp(1e-9 * ahead_ns * twist),
             vx_mps=float(twist[0]),
             omega_radps=float(twist[2]),
@@ -284,18 +232,11 @@ class PoseFilter:
 
     # -- how
 
-    def _start(self, stamp_ns: int, begun: tuple[Array, Array]) -> None:
-        x, P = begun
-        self._base = _State(
-            stamp_ns=stamp_ns,
-            x=x,
-            P=self._floored(P),
-            fix_ns=stamp_ns,
-            fix_travel_m=self._trail.travelled_m(stamp_ns),
-        )
+    def _start(self, begun: State) -> None:
+        self._base = begun
         self._fixes: list[SlamPose] = []
         self._fix_stamps_ns: list[int] = []
-        self._posteriors: list[_State] = []
+        self._posteriors: list[State] = []
         self._innovations: list[Innovation] = []
         self._now = None
 
@@ -314,7 +255,7 @@ class PoseFilter:
         return None
 
     @property
-    def _last(self) -> _State:
+    def _last(self) -> State:
         """The state after the newest fix."""
         return self._posteriors[-1] if self._posteriors else self._base
 
@@ -325,11 +266,14 @@ class PoseFilter:
 
     def _believed(self, delta: Pose2) -> Pose2:
         """One step of the wheels as calibrated now."""
-        travel, yaw, bend, _ = self._last.x[CALIBRATION]
-        if not (travel or yaw or bend):
+        if not self._last.x[CALIBRATION].any():
             return delta
-        x, y, turn = delta.log()
-        return Pose2.exp([(1.0 + travel) * x, (1.0 + travel) * y, (1.0 + yaw) * turn + bend * x])
+        return Pose2.exp(self._believed_twist(delta.log()))
+
+    def _believed_twist(self, twist: Array) -> Array:
+        travel, yaw, bend, _ = self._last.x[CALIBRATION]
+        x, y, turn = twist
+        return np.array([(1.0 + travel) * x, (1.0 + travel) * y, (1.0 + yaw) * turn + bend * x])
 
     def _doubt_newest(self) -> int:
         """Faster than physics: the last moment's wheels count for little. Returns its beginning."""
@@ -340,130 +284,23 @@ class PoseFilter:
         )
         return since_ns
 
-    def _current(self) -> _State:
+    def _current(self) -> State:
         if self._now is None:
-            self._now = self._advanced(self._last, self.stamp_ns)
+            self._now = self._chain.advanced(self._last, self.stamp_ns)
         return self._now
 
-    def _state_at(self, stamp_ns: int) -> _State:
+    def _state_at(self, stamp_ns: int) -> State:
         """State at an instant of the history, with the fixes up to it."""
         fixes = bisect.bisect_right(self._fix_stamps_ns, stamp_ns)
-        return self._advanced(self._posteriors[fixes - 1] if fixes else self._base, stamp_ns)
-
-    def _composed(self, state: _State, stamp_ns: int) -> Composed:
-        """The wheels' motion since a state, under what that state knows of them."""
-        composed = self._trail.compose(state.stamp_ns, stamp_ns, state.x[CALIBRATION])
-        unseen_s = 1e-9 * (stamp_ns - self.stamp_ns) + float(state.x[CALIBRATION][3])
-        noise = composed.noise * state.distrust
-        if unseen_s > 0.0:
-            sigma_m = 0.5 * self.params.acceleration_mps2 * unseen_s**2
-            sigma_rad = 0.5 * self.params.turn_acceleration_radps2 * unseen_s**2
-            noise = noise + np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
-        return replace(composed, noise=noise)
-
-    def _advanced(self, state: _State, stamp_ns: int) -> _State:
-        """Predicted over the composed wheel motion."""
-        return self._after(state, stamp_ns, self._composed(state, stamp_ns))
-
-    def _after(self, state: _State, stamp_ns: int, motion: Composed) -> _State:
-        x, P = self._ekf.predicted(state.x, state.P, motion)
-        carry = np.eye(3)
-        carry[:2, 2] = state.x[1] - x[1], x[0] - state.x[0]
-        doubt = carry @ state.doubt @ carry.T
-        return replace(state, stamp_ns=stamp_ns, x=x, P=P, doubt=doubt)
+        return self._chain.advanced(self._posteriors[fixes - 1] if fixes else self._base, stamp_ns)
 
     def _absorb_from(self, first: int) -> None:
         """Weigh and absorb the fixes from the given one on, in the order of their stamps."""
         del self._posteriors[first:], self._innovations[first:]
         for fix in self._fixes[first:]:
-            posterior, innovation = self._absorbed(self._last, fix)
+            posterior, innovation = self._chain.absorbed(self._last, fix)
             self._posteriors.append(posterior)
             self._innovations.append(innovation)
-
-    def _absorbed(self, last: _State, fix: SlamPose) -> tuple[_State, Innovation]:
-        """The state after a fix, or without it when it is refused. The one place that catches
-        numbers gone wrong: the filter goes on from its last good state."""
-        motion = self._composed(last, fix.stamp_ns)
-        prior = self._after(last, fix.stamp_ns, motion)
-        x, P = prior.x, prior.P
-        z, R = fix.map_from_base.as_array(), self.params.fix_inflation * fix.covariance
-        y = residual(z, seen(x))
-        d2 = float(y @ np.linalg.solve(MEASURED @ P @ MEASURED.T + R, y))
-        outcome, slip, distrust = Outcome.ACCEPTED, None, max(1.0, last.distrust / _FORGIVEN)
-        error = missed(Pose2.from_array(seen(x)), fix.map_from_base)
-        if last.refused is not None:  # what looked like a wrong fix was the wheels' fault, or not
-            slip = told(last.fix_ns, fix.stamp_ns, error)
-        if d2 > self.params.gate_d2:
-            P_slipped = self._slipped(prior, motion, fix, d2)
-            if P_slipped is None:
-                refused = self._contradicted(prior, fix, error, y)
-                return refused, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.GATED)
-            P, R = P_slipped, R * min(d2, self.params.gate_d2_inflated) / self.params.gate_d2
-            outcome, distrust = Outcome.INFLATED, self.params.slip_factor
-            slip = told(last.fix_ns, fix.stamp_ns, error)
-        x, P = self._ekf.updated(x, P, z, R)
-        if not sound(x, P):
-            return prior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.INVALID)
-        posterior = _State(
-            stamp_ns=fix.stamp_ns,
-            x=x,
-            P=self._floored(P),
-            fix_ns=fix.stamp_ns,
-            fix_travel_m=self._trail.travelled_m(min(fix.stamp_ns, self.stamp_ns)),
-            distrust=distrust,
-        )
-        return posterior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=outcome, slip=slip)
-
-    def _contradicted(self, prior: _State, fix: SlamPose, error: Pose2, y: Array) -> _State:
-        """The state after a fix that was refused. The pose stays; but the wheels may have slipped,
-        and the more fixes in a row say so, the less the wheels count: in the end one is taken."""
-        reported = self._trail.compose(prior.fix_ns, fix.stamp_ns, prior.x[CALIBRATION])
-        doubt, distrust = prior.doubt, prior.distrust
-        if explicable(error, reported) is not None:
-            doubt = doubt + 0.5 * np.outer(y, y)  # half and half
-        if suspicious(error, reported):
-            more = _OUTVOTED * distrust if prior.refused is not None else 1.0
-            distrust = min(max(self.params.slip_factor, more), self.params.slip_factor**2)
-        return replace(prior, refused=(fix, reported), doubt=doubt, distrust=distrust)
-
-    def _slipped(self, prior: _State, motion: Composed, fix: SlamPose, d2: float) -> Array | None:
-        """The prior's covariance (10, 10) for wheels that slipped; None where the fix alone is no
-        reason to believe that."""
-        turned = Pose2(0.0, 0.0, float(prior.x[2])).adjoint()
-        if d2 <= self.params.gate_d2_inflated:
-            return _widened(prior.P, turned, self.params.slip_factor * motion.noise)
-        if prior.refused is None:
-            return None
-        # Two refused fixes that the wheels carry onto each other, off by no more than wheels can
-        # be: they slipped before the first of them.
-        earlier, to_earlier = prior.refused
-        step = self._trail.compose(earlier.stamp_ns, fix.stamp_ns, prior.x[CALIBRATION])
-        expected = earlier.map_from_base @ step.delta
-        apart = residual(fix.map_from_base.as_array(), expected.as_array())
-        turn = Pose2(0.0, 0.0, expected.theta_rad).adjoint()
-        carry = np.eye(3)
-        carry[:2, 2] = (
-            (earlier.map_from_base.y_m - expected.y_m),
-            (expected.x_m - earlier.map_from_base.x_m),
-        )
-        spread = (
-            carry @ earlier.covariance @ carry.T
-            + turn @ step.noise @ turn.T
-            + fix.covariance
-            + self._ekf.map_error
-        )
-        if float(apart @ np.linalg.solve(spread, apart)) > _AGREE_D2:
-            return None
-        error = missed(Pose2.from_array(seen(prior.x)), fix.map_from_base)
-        reach = explicable(error, to_earlier)
-        return None if reach is None else _widened(prior.P, turned, reach)
-
-    def _floored(self, P: Array) -> Array:
-        raised = symmetric(P)
-        raised[POSE, POSE] = floored(
-            raised[POSE, POSE], self.params.floor_xy_m, self.params.floor_yaw_rad
-        )
-        return raised
 
     def _trim(self) -> None:
         """Forget what is older than the history; when depends on the wheels' stamps alone."""
@@ -480,10 +317,3 @@ class PoseFilter:
             del self._posteriors[:gone], self._innovations[:gone]
         # Wheels whose stamps are early by the lag belong to later instants of the scans.
         self._trail.forget_before(cut_ns - self._reach_ns)
-
-
-def _widened(P: Array, turned: Array, by: Array) -> Array:
-    """P (10, 10) with (3, 3) more of the pose in the body's frame."""
-    wider = P.copy()
-    wider[POSE, POSE] += turned @ by @ turned.T
-    return symmetric(wider)

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.fusion.trail import Composed, Trail
+from amr_slam.fusion.trail import Reported, Trail
 from amr_slam.fusion.values import FilterParams, Slip
 from amr_slam.geometry import Array, Pose2
 
@@ -30,7 +30,7 @@ def missed(expected: Pose2, found: Pose2) -> Pose2:
     return expected.inverse() @ found
 
 
-def explicable(error: Pose2, reported: Composed) -> Array | None:
+def explicable(error: Pose2, reported: Reported) -> Array | None:
     """(3, 3) covariance in the body frame of what wheels may have missed, where that can be all
     of ``error``; None where they cannot have: then the fix is wrong or the robot was carried.
 
@@ -43,12 +43,12 @@ def explicable(error: Pose2, reported: Composed) -> Array | None:
     return np.diag([reach_m**2, reach_m**2, reach_rad**2])
 
 
-def suspicious(error: Pose2, reported: Composed) -> bool:
+def suspicious(error: Pose2, reported: Reported) -> bool:
     """Whether the wheels may be the ones that lie: they may even have mistaken back for forth."""
     return _within(error, *_reach(reported, _REVERSED))
 
 
-def _reach(reported: Composed, share: float) -> tuple[float, float]:
+def _reach(reported: Reported, share: float) -> tuple[float, float]:
     reach_m = _REACH_M + share * reported.travel_m
     return reach_m, _REACH_RAD + _TURN_RADPM * reported.travel_m + share * reported.turn_rad
 

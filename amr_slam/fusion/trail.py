@@ -50,6 +50,20 @@ class Composed:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reported:
+    """What the wheels have reported in all, forth and back summed."""
+
+    travel_m: float
+    turn_rad: float
+
+    def since(self, earlier: Reported) -> Reported:
+        """What was reported after ``earlier``."""
+        return Reported(
+            travel_m=self.travel_m - earlier.travel_m, turn_rad=self.turn_rad - earlier.turn_rad
+        )
+
+
 class Trail:
     """Successive motions of the base frame.
 
@@ -151,9 +165,10 @@ class Trail:
         last = min(self._size - 1, int(np.searchsorted(stamps, late_ns, side="left")))
         return bool(self._sums[last, 5] > self._sums[first, 5])
 
-    def travelled_m(self, stamp_ns: int) -> float:
-        """Length of the way up to an instant, since the trail was begun."""
-        return float(self._sum_at(stamp_ns)[3])
+    def reported(self, stamp_ns: int) -> Reported:
+        """Way and turn up to an instant of the wheels, since the trail was begun."""
+        sums = self._sum_at(stamp_ns)
+        return Reported(travel_m=float(sums[3]), turn_rad=float(sums[4]))
 
     def twist_rate(self, start_ns: int, end_ns: int) -> Array:
         """(3,) mean twist per second between two instants of the wheels."""
