@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from typing import Any
 
@@ -117,15 +118,20 @@ def seeds_of(dialect: Dialect) -> list[bytes]:
 
 
 def check_reader(make: Callable[[], FrameReader], data: bytes, longest: int) -> None:
-    """In one piece or in many the same frames, bounded memory, and what is read can be written."""
-    whole, pieces = make(), make()
+    """In one piece or in many the same frames, bounded memory, and what is read can be written.
+
+    The pieces, which cost most, are a fourth of the inputs' turn: four times as many are tried.
+    """
+    whole = make()
     frames = whole.feed(data)
-    size = 1 if len(data) <= _SHORT else _PIECE
-    again: list[Frame] = []
-    for start in range(0, len(data), size):
-        again += pieces.feed(data[start : start + size])
-    assert again == frames
-    assert (whole.damaged, whole.pending) == (pieces.damaged, pieces.pending)
+    if zlib.crc32(data) & 3 == 0:
+        pieces = make()
+        size = 1 if len(data) <= _SHORT else _PIECE
+        again: list[Frame] = []
+        for start in range(0, len(data), size):
+            again += pieces.feed(data[start : start + size])
+        assert again == frames
+        assert (whole.damaged, whole.pending) == (pieces.damaged, pieces.pending)
     assert whole.position == len(data)
     assert whole.position - whole.pending <= 2 * longest
     for frame in frames:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import zlib
 
 from amr_drivers.errors import BadTelegram
 from amr_drivers.sick_safety import variables
@@ -30,7 +31,8 @@ def target(data: bytes) -> None:
     reader = FrameReader()
     frames = reader.feed(data)
     assert len(reader._buffer) <= 2 * MAX_LENGTH
-    if len(data) <= _BY_BYTES:
+    # Byte by byte costs most: a fourth of the inputs, and four times as many of them.
+    if len(data) <= _BY_BYTES and zlib.crc32(data) & 3 == 0:
         single = FrameReader()
         assert [f for at in range(len(data)) for f in single.feed(data[at : at + 1])] == frames
         assert single.damaged == reader.damaged
