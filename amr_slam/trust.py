@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Le
 
 from amr_slam.engine import SlamResult
 from amr_slam.evidence import Answer, Rung
-from amr_slam.fusion import EasingParams
+from amr_slam.fusion import Calibration, EasingParams
 from amr_slam.geometry import Array
 from amr_slam.hypotheses import TrackingParams
 
@@ -77,6 +77,21 @@ def scanner_fault(missing: Sequence[str], frozen: Sequence[str]) -> str | None:
     faults = [f"{name} scanner frozen: it sends the same scan again and again" for name in frozen]
     faults += [f"{name} scanner missing" for name in missing if name not in frozen]
     return "; ".join(faults) or None
+
+
+def drift_of(known: Calibration) -> str | None:
+    """What the robot has learned of its wheels that refutes the configuration by more than chance
+    (four standard deviations) and by more than is worth a word."""
+    said = []
+    if abs(known.travel) > max(4.0 * known.travel_sigma, 0.01):
+        said.append(f"the way is {known.travel:+.1%} of what they say")
+    if abs(known.yaw) > max(4.0 * known.yaw_sigma, 0.02):
+        said.append(f"turns are {known.yaw:+.1%} of what they say")
+    if abs(known.bend_radpm) > max(4.0 * known.bend_sigma_radpm, 0.01):
+        said.append(f"straight ahead bends by {math.degrees(known.bend_radpm):+.1f} deg a metre")
+    if abs(known.lag_s) > max(4.0 * known.lag_sigma_s, 0.05):
+        said.append(f"their clock is {1e3 * known.lag_s:+.0f} ms off the scanners'")
+    return f"wheels: {'; '.join(said)}: calibrate" if said else None
 
 
 def fault_of(

@@ -114,6 +114,7 @@ def _health(view: RobotView) -> str:
             for name, part in view.status.health().items()
             if part.link != "OK" or part.detail
         ]
+        said += [view.status.advice] if view.status.advice else []
     if view.refused:
         said.append(f"{view.refused} bad messages")
     healthy = "OK" if view.status is not None else "-"

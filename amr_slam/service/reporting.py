@@ -29,6 +29,7 @@ from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
+from amr_slam.trust import drift_of
 from amr_slam.wheel_events import WheelEvent
 from amr_slam.wire import HealthPart, MapPart, StatusMessage
 
@@ -181,6 +182,7 @@ class Reporter:
             candidates=tuple(candidate_part(one) for one in self._candidates),
             explained=self._explained,
             calibration=None if self._calibration is None else calibration_part(self._calibration),
+            advice=None if self._calibration is None else drift_of(self._calibration),
             slips=tuple(
                 slip_part(event, self._clock.utc_from_monotonic_ns) for event in self._slips
             ),

@@ -187,6 +187,8 @@ class StatusMessage(_Message):
 
     calibration: CalibrationPart | None = None
     """What was learned of the wheels; null before the first wheel sample."""
+    advice: Text | None = None
+    """No fault, but something for people to do: wheels that are not as configured any more."""
     slips: Annotated[tuple[SlipPart, ...], Len(0, MAX_SLIPS)] = ()
     """The last times that wheels and scans disagreed, newest last."""
 
