@@ -84,9 +84,9 @@ def drift_of(known: Calibration) -> str | None:
     (four standard deviations) and by more than is worth a word."""
     said = []
     if abs(known.travel) > max(4.0 * known.travel_sigma, 0.01):
-        said.append(f"the way is {known.travel:+.1%} of what they say")
+        said.append(f"the way differs by {known.travel:+.1%} from what they say")
     if abs(known.yaw) > max(4.0 * known.yaw_sigma, 0.02):
-        said.append(f"turns are {known.yaw:+.1%} of what they say")
+        said.append(f"turns differ by {known.yaw:+.1%} from what they say")
     if abs(known.bend_radpm) > max(4.0 * known.bend_sigma_radpm, 0.01):
         said.append(f"straight ahead bends by {math.degrees(known.bend_radpm):+.1f} deg a metre")
     if abs(known.lag_s) > max(4.0 * known.lag_sigma_s, 0.05):
