@@ -59,12 +59,12 @@ def main() -> int:
             print(f"| {what} | {len(ages)} | {median:.2f} / {p99:.2f} / {ages.max():.2f} |")
             pose = messages[-1]
     if pose is not None:
-        print(f"\nencode and put of one pose: {put_ms(pose)}")
+        print(f"\nencode and put of one pose: {put_us(pose)}")
     return 0
 
 
 def poses(out: Path, seconds: float, *, searching: bool) -> list[PoseMessage]:
-    """What the daemon publishes while the robot stands in the laboratory or is lost in a hall."""
+    """What the daemon publishes while the robot drives a circle, at home or lost."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     own = {"tcp/127.0.0.1:7447": endpoint, "out/demo": str(out), "config": str(REPO / "config")}
@@ -120,7 +120,7 @@ def elsewhere() -> PointMap:
     return grown
 
 
-def put_ms(message: PoseMessage) -> str:
+def put_us(message: PoseMessage) -> str:
     """Median and p99 of encoding and putting a pose, with a subscriber connected."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -133,8 +133,8 @@ def put_ms(message: PoseMessage) -> str:
             begun_s = time.perf_counter()
             publisher.publish_pose(message)
             took_s.append(time.perf_counter() - begun_s)
-    median, p99 = 1e3 * np.quantile(took_s, (0.5, 0.99))
-    return f"median {median:.2f} ms, p99 {p99:.2f} ms"
+    median, p99 = 1e6 * np.quantile(took_s, (0.5, 0.99))
+    return f"median {median:.0f} us, p99 {p99:.0f} us"
 
 
 if __name__ == "__main__":

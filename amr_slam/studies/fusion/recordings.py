@@ -155,6 +155,5 @@ errors of 3 to 5 cm of its own: each reference pose is compared after aligning t
 after it. The figure holds what the pose does within such 40 s: the drift of the wheels between
 scans, wrong fixes, corrections as they enter (online, each is a step of the path), and the
 reference's own error; it does not hold the map's bending over minutes. Only references at scans
-that were skipped count. Where wheels alone have the smaller rms, the map is to blame: one wrong fix
-or one jump while mapping spoils the windows around it, and 40 s of wheels are short. All methods
-but the product use the product's fixes."""
+that were skipped count. A median much below the rms means that few windows hold most of the error;
+which fixes made these was not traced. All methods but the product use the product's fixes."""
