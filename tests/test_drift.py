@@ -13,7 +13,7 @@ from amr_slam.trust import drift_of
             Calibration(travel=-0.018, travel_sigma=0.002),
             "the way differs by -1.8% from what they say",
         ),
-        (Calibration(yaw=0.05, yaw_sigma=0.005), "turns differ by +5.0% from what they say"),
+        (Calibration(yaw=0.05, yaw_sigma=0.005), "turns differ by +5.0% from"),
         (Calibration(bend_radpm=0.02, bend_sigma_radpm=0.001), "bends by +1.1 deg a metre"),
         (Calibration(lag_s=0.12, lag_sigma_s=0.01), "+120 ms off the scanners"),
     ],
