@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final
 
@@ -181,15 +182,25 @@ class Localizer:
         """Jump to a pose of ``stamp_ns`` (None: of now) and forget what spoke for the last one."""
         if self._filter is not None:
             stamp_ns = self._filter.stamp_ns if stamp_ns is None else stamp_ns
-            outcome = self._filter.reset(stamp_ns, map_from_base, covariance)
+            with self._eased(self._filter):
+                outcome = self._filter.reset(stamp_ns, map_from_base, covariance)
             if outcome is not Outcome.RESET:
                 return outcome
         self._located, self._unconfirmed, self._refusals = located, False, 0
+        self._left = None
         self._agreeing.clear()
         self._hypotheses.clear()
         # The way from an older scan to the next one says nothing of the scanners' mounting.
         self._answered_ns = None
         return Outcome.RESET
+
+    @contextmanager
+    def _eased(self, fusion: PoseFilter) -> Iterator[None]:
+        """What changes the filter's pose within enters the published one slowly, or as a jump."""
+        now_ns, epoch = fusion.stamp_ns, fusion.epoch
+        shown, _ = self._easing.applied(now_ns, fusion.map_from_base, fusion.covariance)
+        yield
+        self._easing.corrected(now_ns, shown, fusion.map_from_base, is_jump=fusion.epoch > epoch)
 
     def _handle_wheels(self, sample: DriveSample) -> Outcome:
         if self._filter is None:
@@ -247,12 +258,8 @@ class Localizer:
         if result.fix is None and result.inserted:
             self._refusals = 0
             return Outcome.ACCEPTED
-        now_ns, epoch = self._filter.stamp_ns, self._filter.epoch
-        shown, _ = self._easing.applied(now_ns, self._filter.map_from_base, self._filter.covariance)
-        outcome = self._take_in(result, whole_map(result), self._weakened(result.fix))
-        self._easing.corrected(
-            now_ns, shown, self._filter.map_from_base, is_jump=self._filter.epoch > epoch
-        )
+        with self._eased(self._filter):
+            outcome = self._take_in(result, whole_map(result), self._weakened(result.fix))
         self._note_slip(result)
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             if outcome is not Outcome.RESET:

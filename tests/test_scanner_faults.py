@@ -95,12 +95,17 @@ def test_both_scanners_dead_end_in_odometry_and_then_in_lost() -> None:
 
 
 def test_one_scanner_alone_goes_on_and_claims_less() -> None:
-    run = Run(*known(), BY_NAME["rear dead"], located=True, seed=3)
-    (*_, both) = run.periods(3)
-    run.begin_fault()
+    nothing = Fault(name="none", word="", source=lambda name: name, disturb=lambda: lambda s: s)
+    run, well = (
+        Run(*known(), fault, located=True, seed=3) for fault in (BY_NAME["rear dead"], nothing)
+    )
+    for one in (run, well):
+        list(one.periods(3))
+        one.begin_fault()
     alone = [moment.said for moment in run.periods(8)]
+    both = [moment.said for moment in well.periods(8)]
     assert all(one.state is State.LOCALIZED for one in alone)
-    assert alone[-1].error95_m > both.said.error95_m
+    assert alone[-1].error95_m > both[-1].error95_m
     assert alone[-1].fault == "rear scanner missing"
     assert run.worst_m < 0.05
 

@@ -108,7 +108,7 @@ def test_a_search_that_was_given_up_is_not_heard_any_more() -> None:
 def test_a_pose_taken_as_is_is_a_new_epoch_and_not_localized_before_a_scan_agrees() -> None:
     rig = located()
     rig.localizer.place(THERE, 100.0 * SURE)
-    assert rig.estimate.map_from_base == THERE
+    assert rig.estimate.map_from_base.distance_to(THERE) < 1e-9
     assert (rig.estimate.epoch, rig.state()) == (1, State.ODOMETRY_ONLY)
     rig.drive(0.5)
     assert rig.state() is State.ODOMETRY_ONLY
@@ -136,7 +136,7 @@ def test_another_map_is_another_epoch_and_the_wheels_go_on() -> None:
     seek = rig.localizer.seek(REGION)
     rig.localizer.restart("mapping")
     assert seek.reason == "the map has been changed"
-    assert rig.estimate.map_from_base == Pose2.identity()
+    assert rig.estimate.map_from_base.distance_to(Pose2.identity()) < 1e-9
     assert (rig.estimate.epoch, rig.state()) == (1, State.STARTING)
     assert rig.estimate.odom_from_base == odom
     assert rig.localizer.objection() is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import socket
+import termios
 import threading
 import time
 
@@ -15,6 +16,8 @@ from amr_drivers.errors import LinkLost, LinkTimeout
 _SLICE_S = 0.1
 """Longest single wait: what ``close`` from another thread may have to wait for."""
 _BLOCK = 4096
+_GONE = (OSError, termios.error)
+"""What a port that is gone raises: the terminal's own error is no OSError."""
 _KERNEL_BYTES = 1 << 15
 """What the kernel keeps of a connection's bytes while nobody reads: some telegrams of a serial
 device, as a serial port does, not minutes of them."""
@@ -48,7 +51,7 @@ class ByteStream:
             )
         except ValueError as error:
             raise ValueError(f"{port}: {error}") from error
-        except OSError as error:  # SerialException is one of them
+        except _GONE as error:  # SerialException is one of them
             if isinstance(error.__context__, TimeoutError):
                 raise LinkTimeout(f"{port}: {error}") from error
             raise LinkLost(f"{port}: {error}") from error
@@ -79,7 +82,7 @@ class ByteStream:
             self._refuse_closed()
             try:
                 self._port.write(data)
-            except OSError as error:  # pyserial's time-out for writing is one of them
+            except _GONE as error:  # pyserial's time-out for writing is one of them
                 raise LinkLost(f"{self._port_name}: {error}") from error
 
     def discard_input(self) -> None:
@@ -92,13 +95,13 @@ class ByteStream:
                     self._port.read(self._port.in_waiting)
                 else:
                     self._port.reset_input_buffer()
-            except OSError as error:
+            except _GONE as error:
                 raise LinkLost(f"{self._port_name}: {error}") from error
 
     def close(self) -> None:
         """Idempotent; a read in another thread ends with LinkLost within 0.5 s."""
         self._closed.set()
-        with self._reading, contextlib.suppress(OSError):
+        with self._reading, contextlib.suppress(*_GONE):
             # pyserial forgets to close a connection that the other end has cut.
             self._port.close()
             if self._connection is not None:
