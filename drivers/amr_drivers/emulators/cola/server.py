@@ -123,6 +123,8 @@ class DeviceServer:
         """Cut all connections and refuse new ones. Idempotent."""
         with self._lock:
             if self._listener is not None:
+                # A select in the other thread would keep a listener that is only closed alive.
+                self._listener.shutdown(socket.SHUT_RDWR)
                 self._listener.close()
                 self._listener = None
         self.cut_all()
