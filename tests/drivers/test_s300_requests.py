@@ -242,6 +242,26 @@ def test_a_scan_is_stamped_by_the_first_byte_of_its_answer() -> None:
     assert scan.stamp_ns == slow.now_ns + round((140 - wire_ms - 50) * MS)
 
 
+def test_what_a_line_holds_back_is_not_younger_for_it() -> None:
+    line = Line()
+    line.ask(GRANTED)
+    blocks = [
+        encode_answer(Answer(code=0, block=scan_block(WORDS + np.uint16(k), 7))) for k in range(4)
+    ]
+    (prompt,) = line.ask(blocks[0])
+    asked_ns = line.now_ns
+    # 60 ms later than the one before: 40 ms may be a sweep that was waited for, the rest is not.
+    (held,) = line.ask(blocks[1], after_ms=80)
+    assert held.stamp_ns - asked_ns == (80 - 30 - 20 - 20) * MS
+    errors = line.decoder.status(line.now_ns)[0]
+    assert line.ask(blocks[2], after_ms=200) == []
+    assert line.said == "an answer came 0.14 s late: how old is its scan?"
+    assert line.decoder.status(line.now_ns)[0] == errors + 1
+    assert len(line.ask(blocks[3])) == 1
+    assert line.said is None
+    assert prompt.stamp_ns < held.stamp_ns
+
+
 def test_what_hinders_is_said() -> None:
     line = Line()
     line.ask(encode_answer(Answer(code=4)))

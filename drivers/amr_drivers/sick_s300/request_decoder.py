@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from math import radians
 
 import numpy as np
@@ -33,6 +34,8 @@ _REACTION_S = 0.25
 """What a scanner may take until it answers: nobody documents it; some scan periods."""
 _FROZEN_PERIODS = 2.5
 """One scan may be fetched twice; for longer than this it is a scanner that does not scan anew."""
+_REACTIONS = 10
+"""Answers remembered: the quickest of them tells what the scanner itself needs."""
 _SNIFFED = 21
 """Bytes of a wrong answer that are kept: one less than the beginning of a telegram of continuous
 mode, which is looked for in it."""
@@ -62,6 +65,7 @@ class RequestDecoder:
         self._reader: AnswerReader | None = None
         self._sent_ns = start_ns
         self._first_byte_ns: int | None = None
+        self._reactions_ns: deque[int] = deque(maxlen=_REACTIONS)
         self._answered_ns: int | None = None
         """When the newest answer with a scan began."""
         self._unanswered_since_ns: int | None = start_ns
@@ -192,10 +196,16 @@ class RequestDecoder:
         )
         if self._hindrance is not None or repeated:
             return []
-        # Its sweep had not ended when the answer before this one began.
         scan_period_ns = round(1e9 * self._settings.scan_period_s)
+        delay_ns = self._delay_ns(self._answered_ns, scan_period_ns)
+        if delay_ns > 1e9 * self._settings.latency_limit_s:
+            self._errors += 1
+            self._hindrance = f"an answer came {1e-9 * delay_ns:.2f} s late: how old is its scan?"
+            return []
+        # Its sweep had not ended when the answer before this one began.
         since_ns = scan_period_ns if answered_ns is None else self._answered_ns - answered_ns
-        return [self._scan(words, self._answered_ns - min(scan_period_ns, since_ns) // 2)]
+        ready_ns = self._answered_ns - min(scan_period_ns, since_ns) // 2 - delay_ns
+        return [self._scan(words, ready_ns)]
 
     def _repeats(self, words: NDArray[np.uint16], stamp_ns: int) -> bool:
         """True when these are the values of the answer before: the same scan, not a new one."""
@@ -209,6 +219,13 @@ class RequestDecoder:
         assert self._first_byte_ns is not None
         # The last one cannot have come earlier than one wire time after it.
         return min(self._first_byte_ns, last_byte_ns - round(1e9 * self._answer_wire_s))
+
+    def _delay_ns(self, begun_ns: int, scan_period_ns: int) -> int:
+        """How long an answer that began then was held up between scanner and driver. A scanner may
+        finish a sweep before it answers; what takes longer than that is the line's doing."""
+        self._reactions_ns.append(begun_ns - self._sent_ns)
+        late_ns = self._reactions_ns[-1] - min(self._reactions_ns)
+        return max(0, late_ns - scan_period_ns)
 
     def _scan(self, words: NDArray[np.uint16], ready_ns: int) -> Scan:
         """``ready_ns``: when the scanner had the scan ready to be sent."""
