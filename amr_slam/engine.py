@@ -97,6 +97,9 @@ class SlamEngine:
             return self._seek(request, request.region)
         prior = _prior(request)
         vague = prior is not None and self._vague(prior)
+        if prior is not None and vague and self.mode == "localization":
+            # What fits near a guess proves nothing: it is one place among all others.
+            request, prior, vague = _among_others(request, prior), None, False
         climbed = tuple(self._climb(request, prior, vague=vague))
         answer = self._choose(climbed, vague=vague)
         inspection = self._inspect(request, answer)
@@ -142,9 +145,9 @@ class SlamEngine:
         return compare(cloud, self.map.target(), answer.best.pose)
 
     def _vague(self, prior: Prior) -> bool:
-        """Mapping: the robot may be outside the window in which the first rung looks."""
+        """The robot may be outside the window in which the first rung looks."""
         deviations = np.sqrt(np.diag(inverse_matrix(prior.information)))
-        return self.mode == "mapping" and bool(np.any(3.0 * deviations > self.params.window_max))
+        return bool(np.any(3.0 * deviations > self.params.window_max))
 
     def _climb(self, request: SlamRequest, prior: Prior | None, *, vague: bool) -> Iterator[Answer]:
         """One answer a rung, up to the first that ends the search."""
@@ -282,6 +285,13 @@ def _prior(request: SlamRequest) -> Prior | None:
         target_from_source=request.map_from_base,
         information=inverse_matrix(request.covariance + _SLACK),
     )
+
+
+def _among_others(request: SlamRequest, prior: Prior) -> SlamRequest:
+    """The request for a search of the whole map that tries the expected pose as well."""
+    expected = prior.target_from_source.as_array()[np.newaxis]
+    others = expected if request.also is None else np.concatenate([expected, request.also])
+    return replace(request, also=others)
 
 
 def _compatible(fix: SlamPose, prior: Prior) -> bool:

@@ -31,6 +31,8 @@ class LocalizerParams:
     """Without a fix for this long: lost."""
     lost_axis_m: Annotated[float, Gt(0.0)] = 1.5
     """Three standard deviations along the error ellipse's major axis above this: lost."""
+    lost_heading_deg: Annotated[float, Gt(0.0), Le(180.0)] = 60.0
+    """Three standard deviations of the heading above this: lost."""
     lost_refusals: Annotated[int, Ge(1)] = 5
     """This many scans in a row without an accepted pose: lost."""
     agreeing_relocalizations: Annotated[int, Ge(1)] = 2
@@ -63,7 +65,10 @@ class LocalizerParams:
 def too_wide(covariance: Array, params: LocalizerParams) -> bool:
     """Whether a pose of this covariance (3, 3) is no pose to drive by."""
     major_m = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    return 3.0 * major_m > params.lost_axis_m
+    heading_rad = math.sqrt(float(covariance[2, 2]))
+    return 3.0 * major_m > params.lost_axis_m or 3.0 * heading_rad > math.radians(
+        params.lost_heading_deg
+    )
 
 
 def whole_map(result: SlamResult) -> Answer | None:

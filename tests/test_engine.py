@@ -178,6 +178,22 @@ def test_a_kidnapped_robot_is_found_and_said_to_be() -> None:
     assert result.fix.map_from_base.distance_to(truth) < 0.03
 
 
+VAGUE = np.diag([0.64**2, 0.7**2, 0.94**2])
+
+
+def test_what_fits_near_a_guess_is_weighed_against_the_whole_map() -> None:
+    """Wheels that missed a turn: rooms look alike when turned by 90 degrees."""
+    known, rng = mapped_lab(0), np.random.default_rng(3)
+    engine = SlamEngine(PARAMS, known, "localization")
+    for pose in tour_poses(0)[::6]:
+        cloud = cloud_at(lab(0), pose, rng, sigma_m=0.01)
+        result = engine.update(request(cloud, pose @ Pose2(0.3, 0.1, math.radians(-72.0)), VAGUE))
+        assert {answer.rung for answer in result.climbed} <= {Rung.ABSOLUTE, Rung.EXHAUSTIVE}
+        assert result.fix is not None
+        assert result.fix.relocalized
+        assert result.fix.map_from_base.distance_to(pose) < 0.05
+
+
 @pytest.mark.parametrize("sigma", [0.01, 0.03])
 def test_a_fix_in_a_corridor_says_what_it_does_not_know(sigma: float) -> None:
     """The walls tell nothing along it: there, the fix must not claim more than its error shows."""

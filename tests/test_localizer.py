@@ -11,8 +11,9 @@ from amr_slam.clouds import CloudParams
 from amr_slam.evidence import Verdict
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
-from amr_slam.localizer import Localizer, Mounting
+from amr_slam.localizer import Localizer, LocalizerParams, Mounting
 from amr_slam.samples import Outcome, PoseEstimate, Scan, State
+from amr_slam.trust import too_wide
 
 START = Pose2(2.0, 1.0, 0.5)
 
@@ -109,6 +110,11 @@ def test_without_a_start_it_is_lost_until_two_scans_from_two_poses_say_the_same(
     assert (rig.state(), rig.estimate.candidates) == (State.LOCALIZED, ())
     assert rig.estimate.epoch == 1
     assert rig.estimate.map_from_base.distance_to(here) < 0.02
+
+
+def test_a_pose_without_a_heading_is_no_pose_to_drive_by() -> None:
+    for heading_rad, verdict in ((0.3, False), (0.4, True)):
+        assert too_wide(np.diag([1e-4, 1e-4, heading_rad**2]), LocalizerParams()) is verdict
 
 
 def test_solutions_that_contradict_each_other_never_locate() -> None:
