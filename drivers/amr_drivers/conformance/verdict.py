@@ -14,7 +14,8 @@ OLD_S: Final = 0.5
 OLD_PERIODS: Final = 2.5
 """A scan whose first beam is older than the longer of both was sold as new."""
 _STAMP_S: Final = 0.1
-"""A single stamp that is off by more, and by more than a period, is another sweep's."""
+"""A single stamp that is off by more than this and what the line is good for, and by more than a
+period, is another sweep's."""
 _MEMORY_NS: Final = 4_000_000_000
 """For so long a delay of this machine may show in stamps: they go by many arrivals."""
 
@@ -62,7 +63,7 @@ def _wrong_times(rig: Rig, item: Given, truth_ns: int, stalls: Stalls) -> Iterat
     if age_s > max(OLD_S, OLD_PERIODS * rig.period_s) + stall_s:
         yield f"a scan given {age_s:.2f} s after its first beam"
     error_s = 1e-9 * (scan.stamp_ns - truth_ns)
-    if abs(error_s) > max(_STAMP_S, rig.period_s) + stall_s:
+    if abs(error_s) > max(_STAMP_S + rig.stamp_tolerance_s, rig.period_s) + stall_s:
         yield f"a stamp that is off by {error_s:+.3f} s"
     if scan.stamp_ns + round(1e9 * scan.sweep_s) > item.received_ns:
         yield "a scan that ends after it was given"

@@ -109,5 +109,4 @@ class Cola(BackgroundScanner):
         self._closing.set()
 
     def _max_age_s(self) -> float:
-        # Polled, a scan may have been waiting for a whole turn of the mirror.
-        return 2.0 * self._cola.period_s + self._settings.latency_limit_s + self._cola.silence_s
+        return max(self._cola.silence_s, 2.5 * self._cola.period_s)
