@@ -61,7 +61,7 @@ class Repeating(Bad):
 class StampedLate(Bad):
     def read(self, timeout_s: float) -> Scan | None:
         scan = self.good.read(timeout_s)
-        return None if scan is None else replace(scan, stamp_ns=scan.stamp_ns + 30_000_000)
+        return None if scan is None else replace(scan, stamp_ns=scan.stamp_ns + 80_000_000)
 
 
 class StampedWhenRead(Bad):
