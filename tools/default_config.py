@@ -43,6 +43,7 @@ REQUIRED: dict[str, Any] = {
 ABSENT = {
     "map.path": '"maps/hall.amrmap"',
     "zenoh.keys": '"/etc/amr-slam/keys"',
+    "ros2.namespace": '"amr7"',
     "odometry.options.drive": '{ message = "Traction", signal = "DriveCount" }',
     "odometry.options.steer": '{ message = "Steering", signal = "SteerAngle", unit = "deg" }',
 }
