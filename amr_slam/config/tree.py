@@ -22,6 +22,7 @@ from amr_drivers import registry
 from amr_drivers.decoding import module_of
 from amr_slam.config.checking import ConfigError, checked, located, read_toml, shown
 from amr_slam.encodings.ros2 import Ros2Settings
+from amr_slam.encodings.vda5050 import Vda5050Settings
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
@@ -166,6 +167,7 @@ class Config:
     localizer: LocalizerParams
     zenoh: ZenohSettings
     ros2: Ros2Settings
+    vda5050: Vda5050Settings
     service: ServiceSettings
     recording: RecordingSettings
 
@@ -184,6 +186,7 @@ class _File:
     localizer: LocalizerParams = field(default_factory=LocalizerParams)
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
     ros2: Ros2Settings = field(default_factory=Ros2Settings)
+    vda5050: Vda5050Settings = field(default_factory=Vda5050Settings)
     service: ServiceSettings = field(default_factory=ServiceSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
 
@@ -227,6 +230,7 @@ def parse(table: Mapping[str, Any]) -> Config:
         localizer=read.localizer,
         zenoh=read.zenoh,
         ros2=read.ros2,
+        vda5050=read.vda5050,
         service=read.service,
         recording=read.recording,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 
 from amr_slam.config import Config
-from amr_slam.encodings import Encoder
+from amr_slam.encodings import Encoder, vda5050
 from amr_slam.encodings.ros2 import Ros2Encoder
 
 
@@ -14,4 +14,10 @@ def encoders(config: Config) -> list[Encoder]:
     found: list[Encoder] = []
     if config.ros2.is_on:
         found.append(Ros2Encoder(config.ros2, config.robot.name, os.urandom(16)))
+    found += vda5050.encoders(
+        config.vda5050,
+        prefix=config.zenoh.prefix,
+        robot=config.robot.name,
+        pose_hz=config.service.publish_hz,
+    )
     return found
