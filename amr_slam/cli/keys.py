@@ -1,4 +1,4 @@
-"""``amr-slam keys init|robot|fleet|revoke|list``."""
+"""``amr-slam keys init|robot|fleet|vda5050|revoke|list``."""
 
 from __future__ import annotations
 
@@ -28,6 +28,9 @@ def run(arguments: argparse.Namespace) -> int:
             )
             rights = "may look and command" if arguments.commands else "may only look"
             _say(f"{member.folder}/ is for controller {member.name}: it {rights}")
+        case "vda5050":
+            load(arguments.dir).allow_vda5050(arguments.interface)
+            _say(f"robots may use {arguments.interface}/VERSION/MANUFACTURER/ROBOT/visualization")
         case "revoke":
             load(arguments.dir).revoke(arguments.kind, arguments.name)
         case _:

@@ -320,6 +320,13 @@ def _add_keys(commands: Subparsers[_Parser]) -> None:
         "amr-slam keys fleet controller --commands",
     )
     fleet.add_argument("--commands", action="store_true", help="it may call commands")
+    vda5050 = _command(
+        actions,
+        "vda5050",
+        "robots may use their topics of VDA 5050, commanding controllers send them instant actions",
+        "amr-slam keys vda5050 uagv",
+    )
+    vda5050.add_argument("interface", metavar="INTERFACE", help="first level of the topics")
     revoke = _command(
         actions,
         "revoke",
@@ -330,7 +337,7 @@ def _add_keys(commands: Subparsers[_Parser]) -> None:
     for parser in (robot, fleet, revoke):
         parser.add_argument("name", metavar="NAME")
     listed = _command(actions, "list", "members and when their keys expire", "amr-slam keys list")
-    for parser in (init, robot, fleet, revoke, listed):
+    for parser in (init, robot, fleet, vda5050, revoke, listed):
         parser.add_argument(
             "--dir", type=Path, default=Path("keys"), help="the site's folder (default keys)"
         )

@@ -12,7 +12,10 @@ from typing import Any
 Rules = dict[str, Any]
 
 # What controllers may read by ``get``; commands are not among it.
-_READABLE = ("pose", "status", "scan", "map", "map/**")
+_READABLE = ("pose", "status", "scan", "map", "map/**", "vda5050/**")
+# Topics of VDA 5050: who commands a vehicle speaks on these, the robot itself on the other.
+_TO_VEHICLE = ("instantActions", "state")
+_FROM_VEHICLE = "visualization"
 
 
 def access_control(
@@ -22,11 +25,13 @@ def access_control(
     watchers: Sequence[str],
     *,
     by: str,
+    vda5050: str | None = None,
 ) -> Rules:
     """The router's ``access_control``.
 
     ``robots``, ``commanders`` (may call commands) and ``watchers`` (may only look) are names of
-    members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords).
+    members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords). ``vda5050``: first
+    level of that standard's topics, where robots have them; serial numbers are the robots' names.
     """
     rules: list[Rules] = []
     policies: list[Rules] = []
@@ -48,13 +53,17 @@ def access_control(
         subjects.append({"id": who, by: list(members)})
         policies.append({"rules": list(what), "subjects": [who]})
 
+    def topics(vehicle: str, names: Sequence[str]) -> list[str]:
+        return [f"{vda5050}/*/*/{vehicle}/{name}" for name in names if vda5050 is not None]
+
+    heard = [f"{prefix}/**", *topics("*", ("**",))]
     for robot in robots:
         own = f"{prefix}/{robot}/**"
         says = allow(
             f"{robot} says",
             ("put", "delete", "declare_queryable", "reply", "liveliness_token"),
             "ingress",
-            (own,),
+            (own, *topics(robot, (_FROM_VEHICLE,))),
         )
         hears = allow(f"{robot} is asked", ("query",), "egress", (own,))
         # A publisher sends nothing before it knows of a subscriber, and `amr/**` does not lie
@@ -65,12 +74,19 @@ def access_control(
             "egress",
             ("**",),
         )
-        let(robot, (member(robot=robot),), (says, hears, learns))
+        rights = [says, hears, learns]
+        if vda5050 is not None:
+            told = topics(robot, _TO_VEHICLE)
+            rights += [
+                allow(f"{robot} listens", ("declare_subscriber",), "ingress", told),
+                allow(f"{robot} is told", ("put",), "egress", told),
+            ]
+        let(robot, (member(robot=robot),), rights)
     listens = allow(
         "controllers listen",
         ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
         "ingress",
-        (f"{prefix}/**",),
+        heard,
     )
     asks = allow(
         "controllers ask", ("query",), "ingress", [f"{prefix}/*/{leaf}" for leaf in _READABLE]
@@ -79,12 +95,18 @@ def access_control(
         "controllers hear",
         ("put", "delete", "reply", "liveliness_token", "declare_queryable"),
         "egress",
-        (f"{prefix}/**",),
+        heard,
     )
-    command = allow("controllers command", ("query",), "ingress", (f"{prefix}/*/cmd/*",))
+    commands = [allow("controllers command", ("query",), "ingress", (f"{prefix}/*/cmd/*",))]
+    if vda5050 is not None:
+        told = topics("*", _TO_VEHICLE)
+        commands += [
+            allow("controllers tell vehicles", ("put",), "ingress", told),
+            allow("controllers learn who listens", ("declare_subscriber",), "egress", told),
+        ]
     if commanders:
         names = [member(controller=name) for name in commanders]
-        let("commanders", names, (listens, asks, hear, command))
+        let("commanders", names, (listens, asks, hear, *commands))
     if watchers:
         let("watchers", [member(controller=name) for name in watchers], (listens, asks, hear))
     return {

@@ -57,6 +57,8 @@ class _State(BaseModel):
     robots: Annotated[list[str], Len(0, 20_000)] = []
     fleet: Annotated[dict[str, bool], Len(0, 20_000)] = {}
     """Controllers, and whether they may call commands."""
+    vda5050: str | None = None
+    """First level of VDA 5050's topics, where robots may use them."""
 
 
 def create(
@@ -133,6 +135,13 @@ class Site:
         self.save()
         return self._member("fleet", name)
 
+    def allow_vda5050(self, interface: str) -> None:
+        """Robots may speak on their own topics of VDA 5050, commanding controllers to them.
+        Raises KeysError."""
+        _checked(interface)
+        self._state.vda5050 = interface
+        self.save()
+
     def revoke(self, kind: Literal["robot", "fleet"], name: str) -> None:
         """From the router's next start on, the member's keys open nothing. Raises KeysError."""
         if kind == "robot" and name in self._state.robots:
@@ -178,6 +187,7 @@ class Site:
                 commanders,
                 [name for name in state.fleet if name not in commanders],
                 by="cert_common_names" if tls else "usernames",
+                vda5050=state.vda5050,
             ),
         }
         transport: dict[str, object] = {
