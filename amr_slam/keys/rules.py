@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from amr_slam.encodings.ros2 import ros2_keys
+
 Rules = dict[str, Any]
 
 # What controllers may read by ``get``; commands are not among it.
@@ -22,11 +24,14 @@ def access_control(
     watchers: Sequence[str],
     *,
     by: str,
+    ros2_domain: int | None = None,
 ) -> Rules:
     """The router's ``access_control``.
 
     ``robots``, ``commanders`` (may call commands) and ``watchers`` (may only look) are names of
-    members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords).
+    members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords). With
+    ``ros2_domain``, robots also speak ROS 2 in it, each in the namespace of its name; an initial
+    pose is a command, as what is under ``cmd/``.
     """
     rules: list[Rules] = []
     policies: list[Rules] = []
@@ -50,27 +55,35 @@ def access_control(
 
     for robot in robots:
         own = f"{prefix}/{robot}/**"
+        ros2 = ros2_keys(ros2_domain, robot)
         says = allow(
             f"{robot} says",
             ("put", "delete", "declare_queryable", "reply", "liveliness_token"),
             "ingress",
-            (own,),
+            (own, *ros2.says, *ros2.tokens),
         )
         hears = allow(f"{robot} is asked", ("query",), "egress", (own,))
+        takes: list[str] = []
+        if ros2.commands:
+            takes += [
+                allow(f"{robot} listens", ("declare_subscriber",), "ingress", ros2.commands),
+                allow(f"{robot} is told", ("put",), "egress", ros2.commands),
+            ]
         # A publisher sends nothing before it knows of a subscriber, and `amr/**` does not lie
         # within `amr/amr7/**`: of subscriptions a robot hears all.
         learns = allow(
             f"{robot} learns of listeners",
             ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
             "egress",
-            ("**",),
+            ("**", *_graph(ros2_domain)),
         )
-        let(robot, (member(robot=robot),), (says, hears, learns))
+        let(robot, (member(robot=robot),), (says, hears, learns, *takes))
+    ros2 = ros2_keys(ros2_domain)
     listens = allow(
         "controllers listen",
         ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
         "ingress",
-        (f"{prefix}/**",),
+        (f"{prefix}/**", *ros2.says, *_graph(ros2_domain)),
     )
     asks = allow(
         "controllers ask", ("query",), "ingress", [f"{prefix}/*/{leaf}" for leaf in _READABLE]
@@ -79,12 +92,17 @@ def access_control(
         "controllers hear",
         ("put", "delete", "reply", "liveliness_token", "declare_queryable"),
         "egress",
-        (f"{prefix}/**",),
+        (f"{prefix}/**", *ros2.says, *ros2.tokens),
     )
-    command = allow("controllers command", ("query",), "ingress", (f"{prefix}/*/cmd/*",))
+    command = [allow("controllers command", ("query",), "ingress", (f"{prefix}/*/cmd/*",))]
+    if ros2.commands:
+        command += [
+            allow("controllers point at maps", ("put",), "ingress", ros2.commands),
+            allow("controllers find robots", ("declare_subscriber",), "egress", ros2.commands),
+        ]
     if commanders:
         names = [member(controller=name) for name in commanders]
-        let("commanders", names, (listens, asks, hear, command))
+        let("commanders", names, (listens, asks, hear, *command))
     if watchers:
         let("watchers", [member(controller=name) for name in watchers], (listens, asks, hear))
     return {
@@ -94,6 +112,11 @@ def access_control(
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def _graph(ros2_domain: int | None) -> tuple[str, ...]:
+    """What rmw_zenoh asks for: the whole graph of a domain, of which it is told the robots."""
+    return () if ros2_domain is None else (f"@ros2_lv/{ros2_domain}/**",)
 
 
 def member(*, robot: str | None = None, controller: str | None = None) -> str:
