@@ -223,8 +223,10 @@ def test_the_command_makes_a_site_and_says_where_its_folders_go(
     assert "robot amr7: until 20" in out
     assert "fleet main (commands): until 20" in out
     assert main(["keys", "vda5050", "uagv", "--dir", keys]) == 0
-    assert "uagv/VERSION/MANUFACTURER/ROBOT/visualization" in capsys.readouterr().out
+    assert "uagv/VERSION/MANUFACTURER/ROBOT/" in capsys.readouterr().out
     assert "uagv/*/*/amr7/visualization" in (tmp_path / "keys/router/router.json5").read_text()
+    assert main(["keys", "vda5050", "off", "--dir", keys]) == 0
+    assert "uagv" not in (tmp_path / "keys/router/router.json5").read_text()
     assert main(["keys", "revoke", "fleet", "main", "--dir", keys]) == 0
     (tmp_path / "keys/site.json").write_text("{}")
     assert main(["keys", "list", "--dir", keys]) == 1

@@ -159,7 +159,7 @@ def test_every_version_is_the_same_pose_to_the_last_digit(robot: Robot, tmp_path
         which = json.loads(sample.attachment.to_bytes())
         heard[str(sample.key_expr)].append((which, json.loads(sample.payload.to_bytes())))
 
-    with Daemon(tmp_path, further=VDA5050) as daemon:
+    with Daemon(tmp_path, edit=lambda text: text + VDA5050) as daemon:
         daemon.listen()
         daemon.status_when(in_map("hall"), "a map")
         config = zenoh.Config()
@@ -192,7 +192,7 @@ def test_every_version_is_the_same_pose_to_the_last_digit(robot: Robot, tmp_path
 
 
 def test_an_mqtt_client_reads_positions_and_sets_one(robot: Robot, tmp_path: Path) -> None:
-    with Daemon(tmp_path, further=VDA5050) as daemon:
+    with Daemon(tmp_path, edit=lambda text: text + VDA5050) as daemon:
         daemon.listen()
         daemon.status_when(in_map("hall", 15), "a map of a full turn")
         with everybody(daemon) as (fleet_control, vehicle):
@@ -257,7 +257,7 @@ def test_an_mqtt_client_reads_positions_and_sets_one(robot: Robot, tmp_path: Pat
 
 def test_nobody_sets_the_pose_unless_it_is_switched_on(robot: Robot, tmp_path: Path) -> None:
     off = VDA5050.replace("take_position = true", "")
-    with Daemon(tmp_path, further=off) as daemon:
+    with Daemon(tmp_path, edit=lambda text: text + off) as daemon:
         daemon.listen()
         daemon.status_when(in_map("hall"), "a map")
         with everybody(daemon) as (fleet_control, vehicle):

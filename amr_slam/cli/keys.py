@@ -1,4 +1,4 @@
-"""``amr-slam keys init|robot|fleet|vda5050|revoke|list``."""
+"""``amr-slam keys init|robot|fleet|revoke|ros2|vda5050|list``."""
 
 from __future__ import annotations
 
@@ -28,11 +28,16 @@ def run(arguments: argparse.Namespace) -> int:
             )
             rights = "may look and command" if arguments.commands else "may only look"
             _say(f"{member.folder}/ is for controller {member.name}: it {rights}")
-        case "vda5050":
-            load(arguments.dir).allow_vda5050(arguments.interface)
-            _say(f"robots may use {arguments.interface}/VERSION/MANUFACTURER/ROBOT/visualization")
         case "revoke":
             load(arguments.dir).revoke(arguments.kind, arguments.name)
+        case "ros2":
+            load(arguments.dir).allow_ros2(arguments.domain)
+            said = "no" if arguments.domain is None else f"domain {arguments.domain} of"
+            _say(f"robots may speak {said} ROS 2")
+        case "vda5050":
+            load(arguments.dir).allow_vda5050(arguments.interface)
+            topics = f"{arguments.interface}/VERSION/MANUFACTURER/ROBOT/"
+            _say(f"robots may speak {f'on {topics}' if arguments.interface else 'no VDA 5050'}")
         case _:
             for member in load(arguments.dir).members():
                 _say(_line(member))

@@ -13,10 +13,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from annotated_types import Len
+from annotated_types import Interval, Len
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
+from amr_slam.encodings.vda5050 import TopicLevel
 from amr_slam.keys.authority import KeyPair, issue, new_authority
 from amr_slam.keys.rules import access_control, member
 
@@ -57,8 +58,8 @@ class _State(BaseModel):
     robots: Annotated[list[str], Len(0, 20_000)] = []
     fleet: Annotated[dict[str, bool], Len(0, 20_000)] = {}
     """Controllers, and whether they may call commands."""
-    vda5050: str | None = None
-    """First level of VDA 5050's topics, where robots may use them."""
+    ros2_domain: Annotated[int, Interval(ge=0, le=232)] | None = None
+    vda5050: TopicLevel | None = None
 
 
 def create(
@@ -135,13 +136,6 @@ class Site:
         self.save()
         return self._member("fleet", name)
 
-    def allow_vda5050(self, interface: str) -> None:
-        """Robots may speak on their own topics of VDA 5050, commanding controllers to them.
-        Raises KeysError."""
-        _checked(interface)
-        self._state.vda5050 = interface
-        self.save()
-
     def revoke(self, kind: Literal["robot", "fleet"], name: str) -> None:
         """From the router's next start on, the member's keys open nothing. Raises KeysError."""
         if kind == "robot" and name in self._state.robots:
@@ -152,6 +146,20 @@ class Site:
             raise KeysError(f"{self._folder}: no {kind} is named {name!r}")
         for file in (credentials.KEY, credentials.CERTIFICATE, credentials.LOGIN):
             (self._place(kind, name) / file).unlink(missing_ok=True)
+        self.save()
+
+    def allow_ros2(self, domain: int | None) -> None:
+        """From the router's next start on, robots may also speak ROS 2 in this domain, each in the
+        namespace of its name; None: none may. ``domain``: 0 to 232."""
+        self._state.ros2_domain = domain
+        self.save()
+
+    def allow_vda5050(self, interface: str | None) -> None:
+        """From the router's next start on, robots may also speak VDA 5050 on topics that begin with
+        ``interface``, each under its name as serial number; None: none may. Raises KeysError."""
+        if interface is not None:
+            _checked(interface)
+        self._state.vda5050 = interface
         self.save()
 
     def members(self) -> list[Member]:
@@ -187,6 +195,7 @@ class Site:
                 commanders,
                 [name for name in state.fleet if name not in commanders],
                 by="cert_common_names" if tls else "usernames",
+                ros2_domain=state.ros2_domain,
                 vda5050=state.vda5050,
             ),
         }

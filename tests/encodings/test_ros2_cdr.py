@@ -11,6 +11,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from messages import pose_of, status_of
+from ros2_bytes import (
+    STORE,
+    covariance,
+    deserialized,
+    header,
+    name_of,
+    pose,
+    quaternion,
+    ros,
+    ros_pose,
+    serialized,
+    vector,
+)
 from rosbags.typesys import Stores, get_typestore
 
 from amr_slam.encodings.ros2 import messages
@@ -30,7 +43,6 @@ from amr_slam.samples import State
 from amr_slam.wire import HealthPart, PoseMessage, ScanMessage, SetPose, StatusMessage, WireError
 
 derandomized = settings(derandomize=True, deadline=None, max_examples=100)
-STORE = get_typestore(Stores.ROS2_JAZZY)
 HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
 
 Finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -40,57 +52,6 @@ Frames = st.text("abcdefghijklmnop_0123456789", min_size=1, max_size=20)
 """All lengths, so that each padding comes before the doubles."""
 StampsNs = st.integers(0, (1 << 31) * 1_000_000_000 - 1)
 Texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=40)
-
-
-def name_of(kind: Type) -> str:
-    return f"{kind.package}/msg/{kind.name}"
-
-
-def ros(name: str, /, **fields: Any) -> Any:
-    """A message of rosbags' own classes."""
-    return STORE.types[name](**fields)
-
-
-def header(stamp_ns: int, frame: str) -> Any:
-    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
-    stamp = ros("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
-    return ros("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-
-def vector(x: float, y: float, z: float, name: str = "Vector3") -> Any:
-    return ros(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
-
-
-def quaternion(theta_rad: float) -> Any:
-    half = 0.5 * theta_rad
-    return ros("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(half), w=math.cos(half))
-
-
-def pose(x: float, y: float, theta_rad: float) -> Any:
-    at = vector(x, y, 0.0, "Point")
-    return ros("geometry_msgs/msg/Pose", position=at, orientation=quaternion(theta_rad))
-
-
-def covariance(planar: tuple[float, ...]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    whole = np.zeros((6, 6))
-    whole[np.ix_([0, 1, 5], [0, 1, 5])] = np.reshape(planar, (3, 3))
-    return whole.ravel()
-
-
-def ros_pose(stamp_ns: int, frame: str, message: PoseMessage) -> Any:
-    return ros(
-        name_of(POSE),
-        header=header(stamp_ns, frame),
-        pose=ros(
-            "geometry_msgs/msg/PoseWithCovariance",
-            pose=pose(message.x, message.y, message.theta),
-            covariance=covariance(message.covariance),
-        ),
-    )
-
-
-def serialized(kind: Type, message: Any) -> bytes:
-    return bytes(STORE.serialize_cdr(message, name_of(kind)))
 
 
 @st.composite
@@ -222,7 +183,7 @@ def test_diagnostics_are_byte_for_byte_those_of_another_serializer(
     sick = HealthPart(link="LOST", age_s=None, rate_hz=0.0, samples=0, errors=3, detail=detail)
     status = status_of(fault=fault, scanners={name: sick})
     payload = messages.diagnostics(Header(stamp_ns=7, frame=frame), status)
-    read: Any = STORE.deserialize_cdr(payload, name_of(DIAGNOSTICS))
+    read = deserialized(DIAGNOSTICS, payload)
     assert serialized(DIAGNOSTICS, read) == payload
     said: list[Any] = read.status
     first, parts = said[0], {one.name: one for one in said[1:]}
@@ -249,7 +210,7 @@ def test_diagnostics_are_byte_for_byte_those_of_another_serializer(
 def test_diagnostics_tell_what_the_pose_is_worth(state: State, level: int) -> None:
     status: StatusMessage = status_of(state=state)
     payload = messages.diagnostics(Header(stamp_ns=7, frame=""), status)
-    read: Any = STORE.deserialize_cdr(payload, name_of(DIAGNOSTICS))
+    read = deserialized(DIAGNOSTICS, payload)
     assert (read.status[0].level, read.status[0].message) == (level, str(state))
 
 

@@ -30,7 +30,8 @@ _ODOM: Final = Topic(name="odom", type=ODOMETRY)
 _TF: Final = Topic(name="tf", type=TRANSFORMS)
 _POINTS: Final = Topic(name="scan_points", type=POINTS)
 _DIAGNOSTICS: Final = Topic(name="diagnostics", type=DIAGNOSTICS)
-_INITIALPOSE: Final = Topic(name="initialpose", type=POSE)
+INITIALPOSE: Final = Topic(name="initialpose", type=POSE)
+"""The one topic that is listened on."""
 _LANES: Final = {
     _POSE: Lane.POSE,
     _ODOM: Lane.POSE,
@@ -38,6 +39,8 @@ _LANES: Final = {
     _POINTS: Lane.SCAN,
     _DIAGNOSTICS: Lane.STATUS,
 }
+PUBLISHED: Final = tuple(_LANES)
+"""All topics that a robot may publish."""
 _KNOWN_PLACE: Final = frozenset({State.LOCALIZED, State.MAPPING, State.ODOMETRY_ONLY})
 """States in which a robot may drive by its place in the map. ROS messages have no field that says
 so: in the others the place is withheld, and its readers notice that it grows old."""
@@ -54,7 +57,7 @@ class Ros2Encoder(Encoder):
         self._graph = Graph(
             domain=settings.domain, namespace=namespace, type_hashes=settings.type_hashes
         )
-        self._published = [t for t in _LANES if t is not _ODOM or settings.odom_frame]
+        self._published = [t for t in PUBLISHED if t is not _ODOM or settings.odom_frame]
         self._plain_start = f"{namespace}/" if namespace else ""
         self._keys = {topic: self._keys_of(topic) for topic in self._published}
         self._gids = {
@@ -68,7 +71,7 @@ class Ros2Encoder(Encoder):
         self.inlets: Sequence[Inlet] = (
             [
                 Inlet(key=key, name="ros2 initialpose", decode=self._initialpose)
-                for key in self._keys_of(_INITIALPOSE)
+                for key in self._keys_of(INITIALPOSE)
             ]
             if settings.initialpose
             else []
@@ -77,7 +80,7 @@ class Ros2Encoder(Encoder):
     def tokens(self, session_id: str) -> Sequence[str]:
         if not self._settings.rmw_zenoh:
             return ()
-        subscribed = [_INITIALPOSE] if self._settings.initialpose else []
+        subscribed = [INITIALPOSE] if self._settings.initialpose else []
         return self._graph.tokens(session_id, self._published, subscribed)
 
     def pose(self, message: PoseMessage) -> Iterable[Encoded]:

@@ -9,6 +9,10 @@ from typing import Final
 
 from amr_slam.encodings.vda5050.settings import Version
 
+VISUALIZATION: Final = "visualization"
+ACTIONS: Final = "instantActions"
+STATE: Final = "state"
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edition:

@@ -13,7 +13,13 @@ from pydantic.alias_generators import to_camel
 from amr_slam.encodings.base import Encoded, Encoder, Inlet, Lane, Outlet, Request
 from amr_slam.encodings.vda5050 import fields
 from amr_slam.encodings.vda5050.actions import MAX_ACTIONS_BYTES, PositionActions
-from amr_slam.encodings.vda5050.editions import EDITIONS, Edition
+from amr_slam.encodings.vda5050.editions import (
+    ACTIONS,
+    EDITIONS,
+    STATE,
+    VISUALIZATION,
+    Edition,
+)
 from amr_slam.encodings.vda5050.settings import Vda5050Settings
 from amr_slam.encodings.vda5050.trust import is_localized
 from amr_slam.wire import MapPart, PoseMessage, StatusMessage, WireError, robot_key
@@ -72,7 +78,7 @@ class Vda5050Encoder(Encoder):
         self._state_header_id = 0
         self._map: MapPart | None = None
         self._actions = PositionActions(edition, settings.take_radius_m, manufacturer, serial)
-        self._visualization = Outlet(key=f"{topic}/visualization", encoding=_JSON, lane=Lane.POSE)
+        self._visualization = Outlet(key=f"{topic}/{VISUALIZATION}", encoding=_JSON, lane=Lane.POSE)
         self._state_part = Outlet(
             key=f"{own}/state_part", encoding=_JSON, lane=Lane.POSE, answers=True
         )
@@ -84,7 +90,7 @@ class Vda5050Encoder(Encoder):
         if edition.refers_to_state:
             self.inlets.append(
                 Inlet(
-                    key=f"{topic}/state",
+                    key=f"{topic}/{STATE}",
                     name=f"VDA 5050 {edition.major} state",
                     decode=self._hear_state,
                     max_bytes=_MAX_STATE_BYTES,
@@ -94,7 +100,7 @@ class Vda5050Encoder(Encoder):
             self.outlets.append(self._action_states)
             self.inlets.append(
                 Inlet(
-                    key=f"{topic}/instantActions",
+                    key=f"{topic}/{ACTIONS}",
                     name=f"VDA 5050 {edition.major} instant actions",
                     decode=self._actions.decode,
                     max_bytes=MAX_ACTIONS_BYTES,
