@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from datetime import datetime
 from typing import Any
@@ -176,6 +177,7 @@ def estimates(draw: st.DrawFn) -> PoseMessage:
         theta=draw(angles),
         vx=draw(anything),
         omega=draw(anything),
+        covariance=(0.01, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, draw(st.floats(-0.01, 0.1))),
         error95_m=draw(st.floats(0.0, 2.0) | st.floats(0.0, UNKNOWN)),
         state=draw(st.sampled_from(State)),
         fault=draw(st.none() | st.text(max_size=500)),
@@ -203,7 +205,7 @@ def test_of_any_estimate_comes_a_valid_message_and_no_trust_that_is_not_there(
     localized = position[LOCALIZED[version]]
     if message.state in {State.LOST, State.AMBIGUOUS, State.STARTING} or message.map is None:
         assert not localized
-    if message.error95_m > limit_m:
+    if message.error95_m > limit_m or not 0.0 <= message.covariance[8] <= math.radians(10.0) ** 2:
         assert not localized
     assert position.get("deviationRange", UNKNOWN) == message.error95_m
     assert 0.0 <= position["localizationScore"] <= 1.0
@@ -235,6 +237,34 @@ def test_the_position_is_trusted_by_state_and_error(
         assert told["errors"] == []
     else:
         assert told["errors"][0]["errorDescription"].startswith(reason)
+
+
+@pytest.mark.parametrize(("sigma_deg", "localized"), [(5.0, True), (5.2, False)])
+def test_the_heading_has_to_be_known_too(sigma_deg: float, localized: bool) -> None:
+    covariance = (0.01, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, math.radians(sigma_deg) ** 2)
+    told = said(encoder("2.1"), pose_of(covariance=covariance))["state_part"]["state"]
+    assert told["agvPosition"]["positionInitialized"] is localized
+    reasons = [error["errorDescription"] for error in told["errors"]]
+    said_so = ["localized: the heading error is up to 10.2 deg, more than 10 deg"]
+    assert reasons == ([] if localized else said_so)
+
+
+EXAMPLES = re.findall(
+    r"^`(\w+)` (2\.1|3\.0)[^\n]*\n```json\n(.*?)```$",
+    (REPO / "docs/vda5050.md").read_text(),
+    re.M | re.S,
+)
+
+
+@pytest.mark.parametrize(("kind", "version", "text"), EXAMPLES)
+def test_the_messages_of_the_page_are_valid(kind: str, version: Version, text: str) -> None:
+    validate(version, kind, json.loads(text))
+
+
+def test_the_page_shows_every_kind_in_both_versions() -> None:
+    kinds = ("visualization", "state_part", "action_states", "instant_actions")
+    shown = {(kind, version) for kind, version, _ in EXAMPLES}
+    assert shown == {(kind, version) for kind in kinds for version in VERSIONS}
 
 
 @derandomized

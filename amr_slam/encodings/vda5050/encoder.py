@@ -21,7 +21,7 @@ from amr_slam.encodings.vda5050.editions import (
     Edition,
 )
 from amr_slam.encodings.vda5050.settings import Vda5050Settings
-from amr_slam.encodings.vda5050.trust import is_localized
+from amr_slam.encodings.vda5050.trust import Worth, worth
 from amr_slam.wire import MapPart, PoseMessage, StatusMessage, WireError, robot_key
 from amr_slam.wire.values import Part, complaint
 
@@ -114,21 +114,24 @@ class Vda5050Encoder(Encoder):
             return []  # a map whose name comes with the status, in 0.1 s at most
         self._actions.map_is(map_id)
         encoded = list(self._news())
-        what = is_localized(message, self._settings.trusted_error_m), message.map, message.epoch
+        known = worth(message, self._settings)
+        what = known.localized, message.map, message.epoch
         self._since += 1
         if what != self._told or self._since >= self._every:
             self._told, self._since = what, 0
-            encoded += self._positions(message, map_id, name)
+            encoded += self._positions(message, known, map_id, name)
         return encoded
 
     def status(self, message: StatusMessage) -> Iterable[Encoded]:
         self._map = message.map
         return list(self._news())
 
-    def _positions(self, message: PoseMessage, map_id: str, name: str) -> Iterator[Encoded]:
-        edition, limit_m = self._edition, self._settings.trusted_error_m
+    def _positions(
+        self, message: PoseMessage, known: Worth, map_id: str, name: str
+    ) -> Iterator[Encoded]:
+        edition = self._edition
         said = {
-            edition.position: fields.position(edition, message, limit_m, map_id, name),
+            edition.position: fields.position(edition, message, known, map_id, name),
             "velocity": fields.velocity(message),
         }
         header = {
@@ -148,7 +151,7 @@ class Vda5050Encoder(Encoder):
         state = {
             **said,
             "maps": fields.maps(edition, message, map_id, name),
-            "errors": fields.errors(edition, message, limit_m),
+            "errors": fields.errors(edition, known),
         }
         part = {**which, "stamp": message.stamp, "state": state}
         yield Encoded(key=self._state_part.key, payload=fields.to_json(part))

@@ -7,12 +7,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from amr_slam.encodings.vda5050.editions import Edition
-from amr_slam.encodings.vda5050.trust import (
-    deviation_range_m,
-    is_localized,
-    localization_score,
-    objection,
-)
+from amr_slam.encodings.vda5050.trust import Worth
 from amr_slam.wire import PoseMessage
 
 Fields = dict[str, Any]
@@ -30,7 +25,7 @@ def timestamp(stamp_s: float) -> str:
 
 
 def position(
-    edition: Edition, message: PoseMessage, trusted_error_m: float, map_id: str, map_name: str
+    edition: Edition, message: PoseMessage, known: Worth, map_id: str, map_name: str
 ) -> Fields:
     """``agvPosition`` or ``mobileRobotPosition``. ``map_id``: empty before there is a map."""
     fields: Fields = {
@@ -38,11 +33,11 @@ def position(
         "y": message.y,
         "theta": message.theta,
         "mapId": map_id,
-        edition.localized: is_localized(message, trusted_error_m),
-        "localizationScore": localization_score(message, trusted_error_m),
+        edition.localized: known.localized,
+        "localizationScore": known.score,
     }
-    if (deviation_m := deviation_range_m(message)) is not None:
-        fields["deviationRange"] = deviation_m
+    if known.deviation_m is not None:
+        fields["deviationRange"] = known.deviation_m
     if edition.described_in_position and map_name:
         fields[edition.map_text] = map_name
     return fields
@@ -61,16 +56,15 @@ def maps(edition: Edition, message: PoseMessage, map_id: str, map_name: str) -> 
     return [{**active, edition.map_text: map_name} if map_name else active]
 
 
-def errors(edition: Edition, message: PoseMessage, trusted_error_m: float) -> list[Fields]:
+def errors(edition: Edition, known: Worth) -> list[Fields]:
     """One while the vehicle is not localized, none otherwise."""
-    reason = objection(message, trusted_error_m)
-    if reason is None:
+    if known.objection is None:
         return []
     return [
         {
             "errorType": edition.not_localized,
             "errorLevel": "FATAL",
-            "errorDescription": reason,
+            "errorDescription": known.objection,
             "errorHint": f"Look where the vehicle stands; set its position ({edition.set_pose}).",
         }
     ]

@@ -50,6 +50,8 @@ class Vda5050Settings:
     trusted_error_m: Annotated[float, Gt(0), Le(100)] = 0.5
     """Beyond this ``error95_m`` the vehicle is not localized for the fleet control, whatever the
     state; ``localizationScore`` falls to 0 at it."""
+    trusted_heading_deg: Annotated[float, Gt(0), Le(180)] = 10.0
+    """The same for the heading: 1.96 standard deviations of it."""
     take_position: bool = False
     """Whether ``initPosition`` (2.1) and ``initializePosition`` (3.0) among the instant actions set
     the pose. Whoever may publish there may then command the robot."""

@@ -1,9 +1,12 @@
-"""What a pose is worth, in the words of VDA 5050. Never more than its state and error say."""
+"""What a pose is worth, in the words of VDA 5050. Never more than its state and errors say."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Final
 
+from amr_slam.encodings.vda5050.settings import Vda5050Settings
 from amr_slam.states import State
 from amr_slam.wire import UNKNOWN, PoseMessage
 
@@ -13,43 +16,54 @@ _REASONS: Final = {
     State.LOST: "no place in the map fits the scans",
     State.AMBIGUOUS: "a place is not confirmed, or several places fit the scans",
 }
+_SIGMAS_95: Final = 1.96
+"""So many standard deviations of a heading are not exceeded in 95 % of the cases."""
 _MAX_TEXT: Final = 500
 
 
-def is_localized(message: PoseMessage, trusted_error_m: float) -> bool:
-    """Whether x, y and theta can be trusted: the state has a place, in a map, and the error that is
-    not exceeded in 95 % of the cases is within ``trusted_error_m``."""
-    return (
-        message.state in _PLACED
-        and message.map is not None
-        and message.error95_m <= trusted_error_m
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Worth:
+    """What a pose is worth."""
+
+    objection: str | None
+    """Why x, y and theta cannot be trusted, for people; None where they can."""
+    score: float
+    """``localizationScore``."""
+    deviation_m: float | None
+    """``deviationRange``: None where it is not known."""
+
+    @property
+    def localized(self) -> bool:
+        return self.objection is None
+
+
+def worth(message: PoseMessage, settings: Vda5050Settings) -> Worth:
+    """Trusted where the state has a place, in a map, and the errors of position and heading that
+    are not exceeded in 95 % of the cases are within the limits; then the score is the part of the
+    position's limit that is left, else 0."""
+    objection = _objection(message, settings)
+    if objection is not None and message.fault:
+        objection = f"{objection}; {message.fault}"
+    return Worth(
+        objection=None if objection is None else f"{message.state}: {objection}"[:_MAX_TEXT],
+        score=1.0 - message.error95_m / settings.trusted_error_m if objection is None else 0.0,
+        deviation_m=message.error95_m if message.error95_m < UNKNOWN else None,
     )
 
 
-def localization_score(message: PoseMessage, trusted_error_m: float) -> float:
-    """0 where the pose is not to be trusted, else 1 - error95_m / trusted_error_m."""
-    if not is_localized(message, trusted_error_m):
-        return 0.0
-    return 1.0 - message.error95_m / trusted_error_m
-
-
-def deviation_range_m(message: PoseMessage) -> float | None:
-    """``error95_m``; None where that is not known."""
-    return message.error95_m if message.error95_m < UNKNOWN else None
-
-
-def objection(message: PoseMessage, trusted_error_m: float) -> str | None:
-    """Why the pose is not to be trusted, for people; None where it is."""
-    if is_localized(message, trusted_error_m):
-        return None
-    reason = "there is no map yet" if message.map is None else _reason(message, trusted_error_m)
-    return f"{message.state}: {reason}{f'; {message.fault}' if message.fault else ''}"[:_MAX_TEXT]
-
-
-def _reason(message: PoseMessage, trusted_error_m: float) -> str:
-    if message.state in _REASONS:
+def _objection(message: PoseMessage, settings: Vda5050Settings) -> str | None:
+    if message.map is None:
+        return "there is no map yet"
+    if message.state not in _PLACED:
         return _REASONS[message.state]
-    deviation_m = deviation_range_m(message)
-    if deviation_m is None:
+    if message.error95_m >= UNKNOWN:
         return "the position error is not known"
-    return f"the position error is up to {deviation_m:.2f} m, more than {trusted_error_m:g} m"
+    if message.error95_m > settings.trusted_error_m:
+        limit = f"{settings.trusted_error_m:g} m"
+        return f"the position error is up to {message.error95_m:.2f} m, more than {limit}"
+    variance = message.covariance[8]
+    heading_deg = math.degrees(_SIGMAS_95 * math.sqrt(variance)) if variance >= 0.0 else math.inf
+    if heading_deg > settings.trusted_heading_deg:
+        limit = f"{settings.trusted_heading_deg:g} deg"
+        return f"the heading error is up to {heading_deg:.1f} deg, more than {limit}"
+    return None
