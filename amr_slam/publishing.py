@@ -91,6 +91,7 @@ class RobotPublisher:
         key = partial(robot_key, settings.prefix, robot)
         self._base = f"{settings.prefix}/{robot}"
         self._desks: tuple[Desk | MapDesk, ...] = ()
+        self._commands: CommandDesk | None = None
         self._inlets: InletDesk | None = None
         self._encoders = tuple(encoders)
         own = {Topic.POSE: Lane.POSE, Topic.STATUS: Lane.STATUS, Topic.SCAN: Lane.SCAN}

@@ -7,6 +7,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain
 from typing import Final
 
@@ -196,7 +197,8 @@ def _covariance36(planar: Sequence[float]) -> list[float]:
     return whole
 
 
-def _diagonal36(x: float, y: float, yaw: float) -> list[float]:
+@lru_cache(maxsize=8)  # the same few for each pose
+def _diagonal36(x: float, y: float, yaw: float) -> Sequence[float]:
     return _covariance36((x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, yaw))
 
 
