@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import zenoh
 
-from amr_slam.encodings import Encoder
+from amr_slam.encodings import Encoder, vda5050
 from amr_slam.encodings.ros2 import Ros2Encoder, Ros2Settings
 from amr_slam.publishing import RobotPublisher
 from amr_slam.states import State
@@ -55,11 +55,19 @@ def forms() -> dict[str, list[Encoder]]:
         settings = Ros2Settings(plain=plain, rmw_zenoh=rmw_zenoh)
         return [Ros2Encoder(settings, _ROBOT, b"benchmark")]
 
+    def vda(*, visualization_hz: float) -> list[Encoder]:
+        settings = vda5050.Vda5050Settings(
+            versions=("2.1", "3.0"), manufacturer="acme", visualization_hz=visualization_hz
+        )
+        return vda5050.encoders(settings, prefix="amr", robot=_ROBOT, pose_hz=50.0)
+
     return {
         "JSON alone": [],
         "ROS 2, plain keys": ros2(plain=True),
         "ROS 2, rmw_zenoh": ros2(rmw_zenoh=True),
         "ROS 2, both": ros2(plain=True, rmw_zenoh=True),
+        "VDA 5050, both, every pose": vda(visualization_hz=50.0),
+        "VDA 5050, both, 10 Hz": vda(visualization_hz=10.0),
     }
 
 

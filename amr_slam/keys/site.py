@@ -17,7 +17,6 @@ from annotated_types import Interval, Len
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
-from amr_slam.encodings.vda5050 import TopicLevel
 from amr_slam.keys.authority import KeyPair, issue, new_authority
 from amr_slam.keys.rules import access_control, member
 
@@ -59,7 +58,7 @@ class _State(BaseModel):
     fleet: Annotated[dict[str, bool], Len(0, 20_000)] = {}
     """Controllers, and whether they may call commands."""
     ros2_domain: Annotated[int, Interval(ge=0, le=232)] | None = None
-    vda5050: TopicLevel | None = None
+    vda5050: str | None = None
 
 
 def create(

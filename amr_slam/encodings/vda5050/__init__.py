@@ -6,10 +6,9 @@
 
 from amr_slam.encodings.vda5050.encoder import Vda5050Encoder, encoders
 from amr_slam.encodings.vda5050.rights import vda5050_keys
-from amr_slam.encodings.vda5050.settings import TopicLevel, Vda5050Settings, Version
+from amr_slam.encodings.vda5050.settings import Vda5050Settings, Version
 
 __all__ = [
-    "TopicLevel",
     "Vda5050Encoder",
     "Vda5050Settings",
     "Version",

@@ -5,18 +5,13 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from functools import partial
-from typing import Annotated, Final, Literal
-
-from annotated_types import Interval, Len
-from pydantic import ConfigDict, JsonValue, ValidationError
-from pydantic.alias_generators import to_camel
+from typing import Final, Literal
 
 from amr_slam.encodings.base import Request
 from amr_slam.encodings.vda5050.editions import Edition
 from amr_slam.encodings.vda5050.fields import Fields
 from amr_slam.wire import CommandReply, SetPose, WireError
-from amr_slam.wire.commands import Metres
-from amr_slam.wire.values import Part, complaint
+from amr_slam.wire.vda5050 import InstantAction, InstantActions
 
 MAX_ACTIONS_BYTES: Final = 16 * 1024
 """Larger messages of instant actions are refused unread."""
@@ -26,37 +21,6 @@ _REMEMBERED: Final = 256
 """So many actions are known again: MQTT and bridges may deliver one twice."""
 
 Status = Literal["RUNNING", "FINISHED", "FAILED"]
-
-
-class _Heard(Part):
-    model_config = ConfigDict(alias_generator=to_camel)
-
-
-class _Parameter(_Heard):
-    key: Annotated[str, Len(0, 128)]
-    value: JsonValue
-
-
-class _Action(_Heard):
-    action_type: Annotated[str, Len(1, 128)]
-    action_id: Annotated[str, Len(1, 128)]
-    action_parameters: Annotated[tuple[_Parameter, ...], Len(0, 64)] = ()
-
-
-class _InstantActions(_Heard):
-    manufacturer: str | None = None
-    serial_number: str | None = None
-    actions: Annotated[tuple[_Action, ...], Len(0, 64)]
-
-
-class _Position(_Heard):
-    """The parameters; ``lastNodeId`` is the vehicle controller's."""
-
-    x: Metres
-    y: Metres
-    theta: Annotated[float, Interval(ge=-3.14159265359, le=3.14159265359)]
-    """The standard's own bounds, a little beyond pi."""
-    map_id: Annotated[str, Len(1, 128)]
 
 
 class PositionActions:
@@ -82,10 +46,7 @@ class PositionActions:
     def decode(self, payload: bytes) -> Request | None:
         """The command in a message; None where there is none, or it came before. Raises WireError
         for what is not such a message, or names a position that cannot be."""
-        try:
-            message = _InstantActions.model_validate_json(payload)
-        except ValidationError as error:
-            raise WireError(complaint(error)) from error
+        message = InstantActions.decode(payload)
         named = message.manufacturer, message.serial_number
         if any(said not in {None, own} for said, own in zip(named, self._vehicle, strict=True)):
             raise WireError("is for another vehicle than its topic")
@@ -119,17 +80,10 @@ class PositionActions:
         }
         return fields if result is None else {**fields, self._edition.action_result: result}
 
-    def _command(self, actions: list[_Action]) -> SetPose:
+    def _command(self, actions: list[InstantAction]) -> SetPose:
         if len(actions) > 1:
             raise WireError("more than one position in a message: none is taken")
-        keys = [parameter.key for parameter in actions[0].action_parameters]
-        given = {one.key: one.value for one in actions[0].action_parameters}
-        if len(given) < len(keys):
-            raise WireError("a parameter is given twice")
-        try:
-            position = _Position.model_validate(given)
-        except ValidationError as error:
-            raise WireError(complaint(error)) from error
+        position = actions[0].position()
         known = self._map_id
         if position.map_id != known:
             active = f"the active map is {known}" if known else "there is no map yet"

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import Annotated, Final
+from typing import Final
 
-from annotated_types import Ge, Lt
-from pydantic import ConfigDict, ValidationError
-from pydantic.alias_generators import to_camel
-
-from amr_slam.encodings.base import Encoded, Encoder, Inlet, Lane, Outlet, Request
+from amr_slam.encodings.base import Encoded, Encoder, Inlet, Lane, Outlet
 from amr_slam.encodings.vda5050 import fields
 from amr_slam.encodings.vda5050.actions import MAX_ACTIONS_BYTES, PositionActions
 from amr_slam.encodings.vda5050.editions import (
@@ -22,20 +18,12 @@ from amr_slam.encodings.vda5050.editions import (
 )
 from amr_slam.encodings.vda5050.settings import Vda5050Settings
 from amr_slam.encodings.vda5050.trust import Worth, worth
-from amr_slam.wire import MapPart, PoseMessage, StatusMessage, WireError, robot_key
-from amr_slam.wire.values import Part, complaint
+from amr_slam.wire import MapPart, PoseMessage, StatusMessage, robot_key
+from amr_slam.wire.vda5050 import HEADER_IDS, StateHeader
 
 _JSON: Final = "application/json"
-_HEADER_IDS: Final = 1 << 32
-"""They are 32 bits wide, and begin anew then."""
 _MAX_STATE_BYTES: Final = 1 << 17
 """Of the vehicle controller's state; a robot receives nothing larger anyway."""
-
-
-class _State(Part):
-    model_config = ConfigDict(alias_generator=to_camel)
-
-    header_id: Annotated[int, Ge(0), Lt(_HEADER_IDS)]
 
 
 def encoders(
@@ -141,7 +129,7 @@ class Vda5050Encoder(Encoder):
         }
         if edition.refers_to_state:
             header["referenceStateHeaderId"] = self._state_header_id
-        self._header_id = (self._header_id + 1) % _HEADER_IDS
+        self._header_id = (self._header_id + 1) % HEADER_IDS
         which = {"v": 1, "seq": message.seq, "epoch": message.epoch}
         yield Encoded(
             key=self._visualization.key,
@@ -162,10 +150,6 @@ class Vda5050Encoder(Encoder):
             payload = fields.to_json({"v": 1, "state": news})
             yield Encoded(key=self._action_states.key, payload=payload)
 
-    def _hear_state(self, payload: bytes) -> Request | None:
+    def _hear_state(self, payload: bytes) -> None:
         """On a thread of zenoh's."""
-        try:
-            self._state_header_id = _State.model_validate_json(payload).header_id
-        except ValidationError as error:
-            raise WireError(complaint(error)) from error
-        return None
+        self._state_header_id = StateHeader.decode(payload).header_id

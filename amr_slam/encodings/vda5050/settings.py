@@ -4,41 +4,27 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from annotated_types import Gt, Interval, Le, Len
-from pydantic import AfterValidator
 
 Version = Literal["2.1", "3.0"]
 
-
-def _topic_level(name: str) -> str:
-    # What the standard allows in a serial number; all of it may stand in an MQTT topic and a key.
-    if not re.fullmatch(r"[A-Za-z0-9_.:-]{1,64}", name):
-        raise ValueError("should be 1 to 64 letters, digits, '_', '.', ':' or '-'")
-    return name
-
-
-def _distinct(versions: tuple[Version, ...]) -> tuple[Version, ...]:
-    if len(set(versions)) < len(versions):
-        raise ValueError("should name each version once")
-    return versions
-
-
-TopicLevel = Annotated[str, AfterValidator(_topic_level)]
+# What the standard allows in a serial number; all of it may stand in an MQTT topic and a Zenoh key.
+_LEVEL: Final = re.compile(r"[A-Za-z0-9_.:-]{1,64}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Vda5050Settings:
     """VDA 5050: the position for fleet controls, on keys that are MQTT topics one to one."""
 
-    versions: Annotated[tuple[Version, ...], Len(0, 2), AfterValidator(_distinct)] = ()
+    versions: Annotated[tuple[Version, ...], Len(0, 2)] = ()
     """``2.1``, ``3.0``, or both at once; none switches it off."""
-    interface: TopicLevel = "uagv"
+    interface: str = "uagv"
     """First level of the topics: ``<interface>/v2/<manufacturer>/<serial_number>/...``."""
-    manufacturer: TopicLevel | None = None
+    manufacturer: str | None = None
     """The vehicle's, as its factsheet has it. Needed as soon as there are versions."""
-    serial_number: TopicLevel | None = None
+    serial_number: str | None = None
     """The vehicle's; without it, the robot's name. Access rules of ``amr-slam keys`` go by the
     robot's name."""
     visualization_hz: Annotated[float, Interval(ge=0.1, le=200)] = 10.0
@@ -59,5 +45,15 @@ class Vda5050Settings:
     """How far off such a position may be: the robot searches its place around it."""
 
     def __post_init__(self) -> None:
+        levels = {
+            "interface": self.interface,
+            "manufacturer": self.manufacturer,
+            "serial_number": self.serial_number,
+        }
+        for name, level in levels.items():
+            if level is not None and not _LEVEL.fullmatch(level):
+                raise ValueError(f"{name} should be 1 to 64 letters, digits, '_', '.', ':' or '-'")
+        if len(set(self.versions)) < len(self.versions):
+            raise ValueError("versions should name each version once")
         if self.versions and self.manufacturer is None:
             raise ValueError("manufacturer is missing: it is part of every topic")
