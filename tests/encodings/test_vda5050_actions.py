@@ -238,7 +238,7 @@ def test_other_actions_are_the_vehicle_controllers() -> None:
 def test_before_there_is_a_map_nothing_is_taken() -> None:
     vehicle = Vehicle()
     list(vehicle.encoder.pose(pose_of(map=None)))
-    with pytest.raises(WireError, match="there is no map yet"):
+    with pytest.raises(WireError, match="no map is active yet"):
         vehicle.hears(action())
 
 
@@ -247,6 +247,9 @@ def test_the_map_is_named_as_the_positions_name_it() -> None:
     assert vehicle.hears(action(mapId="hall")) is not None
     with pytest.raises(WireError, match="the active map is hall"):
         vehicle.hears(action(action_id="a2"))
+    list(vehicle.encoder.pose(pose_of(map="0" * 36)))  # another one, whose name is still to come
+    with pytest.raises(WireError, match="no map is active yet"):
+        vehicle.hears(action(action_id="a3", mapId="hall"))
 
 
 def test_of_many_actions_the_last_are_told() -> None:

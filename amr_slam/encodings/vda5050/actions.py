@@ -40,7 +40,7 @@ class PositionActions:
         self._changed = False
 
     def map_is(self, map_id: str) -> None:
-        """The map that the fleet control has been told of; empty: none yet."""
+        """The map that positions are in now; empty: none that has been told."""
         self._map_id = map_id
 
     def decode(self, payload: bytes) -> Request | None:
@@ -86,7 +86,7 @@ class PositionActions:
         position = actions[0].position()
         known = self._map_id
         if position.map_id != known:
-            active = f"the active map is {known}" if known else "there is no map yet"
+            active = f"the active map is {known}" if known else "no map is active yet"
             raise WireError(f"mapId: {position.map_id:.64}: {active}")
         return SetPose(x=position.x, y=position.y, theta=position.theta, radius=self._radius_m)
 

@@ -98,9 +98,9 @@ class Vda5050Encoder(Encoder):
     def pose(self, message: PoseMessage) -> Iterable[Encoded]:
         name = self._map.name if self._map is not None and self._map.id == message.map else ""
         map_id = (message.map or "") if self._settings.map_id == "uuid" else name
+        self._actions.map_is(map_id)
         if message.map is not None and not map_id:
             return []  # a map whose name comes with the status, in 0.1 s at most
-        self._actions.map_is(map_id)
         encoded = list(self._news())
         known = worth(message, self._settings)
         what = known.localized, message.map, message.epoch
