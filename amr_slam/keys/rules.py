@@ -62,7 +62,7 @@ def access_control(
             "ingress",
             (own, *ros2.says, *ros2.tokens),
         )
-        hears = allow(f"{robot} is asked", ("query",), "egress", (own,))
+        hears = allow(f"{robot} is asked", ("query",), "egress", (own, *ros2.keeps))
         takes: list[str] = []
         if ros2.commands:
             takes += [
@@ -86,7 +86,10 @@ def access_control(
         (f"{prefix}/**", *ros2.says, *_graph(ros2_domain)),
     )
     asks = allow(
-        "controllers ask", ("query",), "ingress", [f"{prefix}/*/{leaf}" for leaf in _READABLE]
+        "controllers ask",
+        ("query",),
+        "ingress",
+        [*(f"{prefix}/*/{leaf}" for leaf in _READABLE), *ros2.keeps],
     )
     hear = allow(
         "controllers hear",
