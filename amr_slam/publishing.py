@@ -8,25 +8,31 @@ on to another).
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Final, Self
 
 import zenoh
+import zenoh.ext
 
 from amr_slam.client.session import close_session, declaring, open_session
-from amr_slam.encodings import Encoded, Encoder, Lane, Outlet
-from amr_slam.serving import CommandDesk, Desk, InletDesk, MapDesk, Put
+from amr_slam.encodings import Encoded, Encoder, Lane, MapPicture, Outlet
+from amr_slam.map.export import png_pixels
+from amr_slam.serving import CommandDesk, Desk, InletDesk, MapDesk, MapTeller, Picture, Put
 from amr_slam.wire import PoseMessage, ScanMessage, StatusMessage, Topic, ZenohSettings, robot_key
 
 _JSON: Final = "application/json"
 _MAX_INBOUND_BYTES: Final = 1 << 17  # commands are all that a robot is sent
+_HEARTBEAT_S: Final = 5.0
+"""Between the numbers of the newest message on a latched key: who has lost it asks for it."""
 _PRIORITIES: Final[Mapping[Lane, zenoh.Priority]] = MappingProxyType(
     {
         Lane.POSE: zenoh.Priority.REAL_TIME,
         Lane.STATUS: zenoh.Priority.DATA_LOW,
         Lane.SCAN: zenoh.Priority.BACKGROUND,
+        Lane.MAP: zenoh.Priority.DATA_LOW,
     }
 )
 
@@ -38,17 +44,14 @@ class _Topic:
         self._key = outlet.key
         self._encoding = zenoh.Encoding(outlet.encoding)
         self._latest: tuple[bytes, bytes | None] | None = None
-        self._publisher = session.declare_publisher(
-            self._key,
-            encoding=self._encoding,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=_PRIORITIES[outlet.lane],
+        self._publisher = _publisher(session, outlet)
+        self._queryable = (
+            session.declare_queryable(self._key, self._answer) if outlet.answers else None
         )
-        if outlet.answers:
-            self._queryable = session.declare_queryable(self._key, self._answer)
 
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
-        self._latest = payload, attachment
+        if self._queryable is not None:
+            self._latest = payload, attachment
         self._publisher.put(payload, attachment=attachment)
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -57,6 +60,30 @@ class _Topic:
             if latest is not None:
                 payload, attachment = latest
                 query.reply(self._key, payload, encoding=self._encoding, attachment=attachment)
+
+
+def _publisher(
+    session: zenoh.Session, outlet: Outlet
+) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+    control = zenoh.CongestionControl
+    waits = control.BLOCK if outlet.lane is Lane.MAP else control.DROP
+    priority = _PRIORITIES[outlet.lane]
+    if not outlet.latched:
+        return session.declare_publisher(
+            outlet.key, encoding=outlet.encoding, congestion_control=waits, priority=priority
+        )
+    return zenoh.ext.declare_advanced_publisher(
+        session,
+        outlet.key,
+        encoding=outlet.encoding,
+        congestion_control=waits,
+        priority=priority,
+        cache=zenoh.ext.CacheConfig(max_samples=1),
+        sample_miss_detection=zenoh.ext.MissDetectionConfig(
+            heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
+        ),
+        publisher_detection=True,
+    )
 
 
 class RobotPublisher:
@@ -90,9 +117,11 @@ class RobotPublisher:
         )
         key = partial(robot_key, settings.prefix, robot)
         self._base = f"{settings.prefix}/{robot}"
-        self._desks: tuple[Desk | MapDesk, ...] = ()
+        self._desks: tuple[Desk | MapDesk | MapTeller, ...] = ()
         self._commands: CommandDesk | None = None
         self._inlets: InletDesk | None = None
+        self._teller: MapTeller | None = None
+        self._pictures = 0
         self._encoders = tuple(encoders)
         own = {Topic.POSE: Lane.POSE, Topic.STATUS: Lane.STATUS, Topic.SCAN: Lane.SCAN}
         with declaring(self._session):
@@ -127,6 +156,8 @@ class RobotPublisher:
         self._status.put(message.encode())
         for encoder in self._encoders:
             self._put_all(encoder.status(message))
+        if self._teller is not None:
+            self._teller.follow(message)
 
     def publish_scan(self, message: ScanMessage) -> None:
         self._scan.put(message.encode())
@@ -142,12 +173,28 @@ class RobotPublisher:
         inlets = [inlet for encoder in self._encoders for inlet in encoder.inlets]
         if inlets:
             self._inlets = InletDesk(self._session, inlets, desk)
+        outlets = [outlet for encoder in self._encoders for outlet in encoder.outlets]
+        if any(outlet.lane is Lane.MAP for outlet in outlets):
+            self._teller = MapTeller(put, self._tell_map)
+            self._desks += (self._teller,)
 
     def close(self) -> None:
         """Idempotent. Listeners see the ``alive`` token fall."""
         for desk in self._desks:
             desk.close()
         close_session(self._session)
+
+    def _tell_map(self, picture: Picture) -> None:
+        """On the teller's thread."""
+        drawn = MapPicture(
+            seq=self._pictures,
+            stamp=time.time(),
+            pixels=png_pixels(picture.png),
+            georeference=picture.georeference,
+        )
+        self._pictures += 1
+        for encoder in self._encoders:
+            self._put_all(encoder.map(drawn))
 
     def _put_all(self, all_encoded: Iterable[Encoded]) -> None:
         for encoded in all_encoded:

@@ -1,15 +1,20 @@
-"""Messages of ROS 2 by an independent serializer, for the tests."""
+"""Messages of ROS 2 by an independent serializer, and a map for them, for the tests."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from messages import MAP_ID
 from rosbags.typesys import Stores, get_typestore
 
+from amr_slam.encodings import MapPicture
 from amr_slam.encodings.ros2.keys import POSE, Type
-from amr_slam.wire import PoseMessage
+from amr_slam.map.export import FREE, OCCUPIED, UNKNOWN, OccupancyImage, png_bytes
+from amr_slam.serving import Asked, ImageWanted, Picture
+from amr_slam.wire import MapImage, PoseMessage
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -67,3 +72,32 @@ def ros_pose(stamp_ns: int, frame: str, message: PoseMessage) -> Any:
             covariance=covariance(message.covariance),
         ),
     )
+
+
+# -- a map
+
+
+def picture_of(seq: int = 0) -> MapPicture:
+    """Two rows of three: the wall is low and to the right of (1 m, -2 m)."""
+    pixels = np.array([[UNKNOWN, FREE, FREE], [FREE, FREE, OCCUPIED]], dtype=np.uint8)
+    at = MapImage(
+        map=MAP_ID,
+        width_px=3,
+        height_px=2,
+        metres_per_px=0.5,
+        column_of_x0_px=-2.0,
+        row_of_y0_px=-2.0,
+    )
+    return MapPicture(seq=seq, stamp=1_790_000_000.0, pixels=pixels, georeference=at)
+
+
+def loop_that_draws(drawn: list[Asked]) -> Callable[[Asked], object]:
+    picture = picture_of()
+    image = OccupancyImage(pixels=picture.pixels, resolution_m=0.5, x_min_m=1.0, y_min_m=-2.0)
+
+    def loop(asked: Asked) -> None:
+        assert asked.request == ImageWanted(resolution_m=None)
+        drawn.append(asked)
+        asked.done(Picture(png=png_bytes(image), georeference=picture.georeference))
+
+    return loop

@@ -5,6 +5,6 @@ form is switched on in the configuration. Pure: an encoder makes bytes of messag
 bytes; :mod:`amr_slam.publishing` and :mod:`amr_slam.serving` carry them.
 """
 
-from amr_slam.encodings.base import Encoded, Encoder, Inlet, Lane, Outlet, Request
+from amr_slam.encodings.base import Encoded, Encoder, Inlet, Lane, MapPicture, Outlet, Request
 
-__all__ = ["Encoded", "Encoder", "Inlet", "Lane", "Outlet", "Request"]
+__all__ = ["Encoded", "Encoder", "Inlet", "Lane", "MapPicture", "Outlet", "Request"]

@@ -7,10 +7,14 @@ import enum
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from amr_slam.wire import (
     MAX_COMMAND_BYTES,
     Command,
     CommandReply,
+    MapImage,
     PoseMessage,
     ScanMessage,
     StatusMessage,
@@ -18,12 +22,14 @@ from amr_slam.wire import (
 
 
 class Lane(enum.Enum):
-    """With which of the robot's own messages something goes; each has a priority of its own. All
+    """With which of the robot's own messages something goes; each has a priority of its own. They
     are dropped, never waited for, where the network is slow: the next one is better."""
 
     POSE = enum.auto()
     STATUS = enum.auto()
     SCAN = enum.auto()
+    MAP = enum.auto()
+    """Megabytes, once in a while, from a thread of their own: not dropped but waited for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +42,8 @@ class Outlet:
     lane: Lane
     answers: bool = False
     """Whether a ``get`` of the key is answered with what was published last."""
+    latched: bool = False
+    """Whether Zenoh's advanced subscribers are given what was published before they came."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,6 +54,20 @@ class Encoded:
     """Of one of the encoder's outlets."""
     payload: bytes
     attachment: bytes | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MapPicture:
+    """The active map as pixels."""
+
+    seq: int
+    """+1 each picture since the start."""
+    stamp: float
+    """UTC seconds of its drawing."""
+    pixels: NDArray[np.uint8]
+    """(rows, columns) of :mod:`amr_slam.map.export`'s OCCUPIED, UNKNOWN and FREE; the first row has
+    the greatest y."""
+    georeference: MapImage
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,4 +120,8 @@ class Encoder:
         return ()
 
     def scan(self, message: ScanMessage) -> Iterable[Encoded]:
+        return ()
+
+    def map(self, picture: MapPicture) -> Iterable[Encoded]:
+        """On another thread: may take its time. Called only with an outlet on :attr:`Lane.MAP`."""
         return ()

@@ -65,7 +65,7 @@ def access_control(
             "ingress",
             (own, *ros2.says, *ros2.tokens, *vda.says),
         )
-        hears = allow(f"{robot} is asked", ("query",), "egress", (own,))
+        hears = allow(f"{robot} is asked", ("query",), "egress", (own, *ros2.keeps))
         takes: list[str] = []
         if told := (*ros2.commands, *vda.commands):
             takes += [
@@ -91,7 +91,10 @@ def access_control(
         (f"{prefix}/**", *ros2.says, *_graph(ros2_domain), *topics),
     )
     asks = allow(
-        "controllers ask", ("query",), "ingress", [f"{prefix}/*/{leaf}" for leaf in _READABLE]
+        "controllers ask",
+        ("query",),
+        "ingress",
+        [*(f"{prefix}/*/{leaf}" for leaf in _READABLE), *ros2.keeps],
     )
     hear = allow(
         "controllers hear",

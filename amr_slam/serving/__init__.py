@@ -18,6 +18,7 @@ from amr_slam.serving.commands import CommandDesk
 from amr_slam.serving.desk import Desk
 from amr_slam.serving.inlets import InletDesk
 from amr_slam.serving.maps import MapDesk
+from amr_slam.serving.telling import MapTeller
 
 __all__ = [
     "Asked",
@@ -27,6 +28,7 @@ __all__ = [
     "InletDesk",
     "MapDesk",
     "MapFile",
+    "MapTeller",
     "MapWanted",
     "NotDone",
     "Picture",

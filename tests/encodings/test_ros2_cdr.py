@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from messages import pose_of, status_of
+from messages import MAP_ID, pose_of, status_of
 from ros2_bytes import (
     STORE,
     covariance,
@@ -26,11 +26,13 @@ from ros2_bytes import (
 )
 from rosbags.typesys import Stores, get_typestore
 
+from amr_slam.encodings import MapPicture
 from amr_slam.encodings.ros2 import messages
 from amr_slam.encodings.ros2.cdr import CdrReader, CdrWriter
 from amr_slam.encodings.ros2.initialpose import read_initialpose
 from amr_slam.encodings.ros2.keys import (
     DIAGNOSTICS,
+    GRID,
     ODOMETRY,
     POINTS,
     POSE,
@@ -39,8 +41,24 @@ from amr_slam.encodings.ros2.keys import (
 )
 from amr_slam.encodings.ros2.messages import Header, Transform
 from amr_slam.geometry import Pose2
+from amr_slam.map.export import (
+    FREE,
+    OCCUPIED,
+    UNKNOWN,
+    OccupancyImage,
+    png_bytes,
+    png_pixels,
+)
 from amr_slam.samples import State
-from amr_slam.wire import HealthPart, PoseMessage, ScanMessage, SetPose, StatusMessage, WireError
+from amr_slam.wire import (
+    HealthPart,
+    MapImage,
+    PoseMessage,
+    ScanMessage,
+    SetPose,
+    StatusMessage,
+    WireError,
+)
 
 derandomized = settings(derandomize=True, deadline=None, max_examples=100)
 HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
@@ -67,7 +85,7 @@ def pose_messages(draw: st.DrawFn) -> PoseMessage:
     )
 
 
-@pytest.mark.parametrize("kind", [POSE, ODOMETRY, TRANSFORMS, DIAGNOSTICS, POINTS])
+@pytest.mark.parametrize("kind", [POSE, ODOMETRY, TRANSFORMS, DIAGNOSTICS, POINTS, GRID])
 def test_the_hashes_are_those_of_the_definitions(kind: Type) -> None:
     assert STORE.hash_rihs01(name_of(kind)) == f"RIHS01_{kind.hash}"
     assert HUMBLE.hash_rihs01(name_of(kind)) == f"RIHS01_{kind.hash}"
@@ -173,6 +191,61 @@ def test_points_are_byte_for_byte_those_of_another_serializer(
         is_dense=True,
     )
     assert ours == serialized(POINTS, theirs)
+
+
+@derandomized
+@given(
+    stamp_ns=StampsNs,
+    frame=Frames,
+    rows=st.integers(1, 4),
+    columns=st.integers(1, 5),
+    left_px=st.floats(-1000.0, 1000.0),
+    low_px=st.floats(-1000.0, 1000.0),
+    data=st.data(),
+)
+def test_a_grid_is_byte_for_byte_that_of_another_serializer(
+    stamp_ns: int,
+    frame: str,
+    rows: int,
+    columns: int,
+    left_px: float,
+    low_px: float,
+    data: st.DataObject,
+) -> None:
+    greys = st.sampled_from([OCCUPIED, UNKNOWN, FREE])
+    drawn = data.draw(st.lists(greys, min_size=rows * columns, max_size=rows * columns))
+    pixels = np.array(drawn, dtype=np.uint8).reshape(rows, columns)
+    image = OccupancyImage(pixels=pixels, resolution_m=0.05, x_min_m=0.0, y_min_m=0.0)
+    at = MapImage(
+        map=MAP_ID,
+        width_px=columns,
+        height_px=rows,
+        metres_per_px=0.05,
+        column_of_x0_px=-left_px,
+        row_of_y0_px=rows + low_px,
+    )
+    read_again = png_pixels(png_bytes(image))
+    picture = MapPicture(seq=0, stamp=1.0, pixels=read_again, georeference=at)
+    ours = messages.grid(Header(stamp_ns=stamp_ns, frame=frame), picture)
+    stamp = header(stamp_ns, frame).stamp
+    low_m = (rows + low_px - rows) * 0.05
+    info = ros(
+        "nav_msgs/msg/MapMetaData",
+        map_load_time=stamp,
+        resolution=0.05,
+        width=columns,
+        height=rows,
+        origin=pose(left_px * 0.05, low_m, 0.0),
+    )
+    values = {OCCUPIED: 100, UNKNOWN: -1, FREE: 0}
+    cells = [values[grey] for row in pixels[::-1].tolist() for grey in row]
+    theirs = ros(
+        name_of(GRID),
+        header=header(stamp_ns, frame),
+        info=info,
+        data=np.array(cells, dtype=np.int8),
+    )
+    assert ours == serialized(GRID, theirs)
 
 
 @derandomized

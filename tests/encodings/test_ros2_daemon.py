@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import zenoh
+import zenoh.ext
 from daemon_rig import Daemon, Robot, until
 from messages import pose_of
 from ros2_bytes import deserialized, ros_pose, serialized
 from test_commands import controlling, pose_when
 
 from amr_slam.clouds import cloud_from_scan
-from amr_slam.encodings.ros2.keys import DIAGNOSTICS, ODOMETRY, POSE, TRANSFORMS
+from amr_slam.encodings.ros2.keys import DIAGNOSTICS, GRID, ODOMETRY, POSE, TRANSFORMS
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap, save_map
 from amr_slam.params import SlamParams
@@ -31,6 +32,7 @@ initialpose = true
 """
 RMW_INITIALPOSE = f"0/amr7/initialpose/{POSE.dds_name}/RIHS01_{POSE.hash}"
 KINDS = {"pose": POSE, "odom": ODOMETRY, "tf": TRANSFORMS, "diagnostics": DIAGNOSTICS}
+RMW_MAP = f"0/amr7/map/{GRID.dds_name}/RIHS01_{GRID.hash}"
 
 
 class Heard:
@@ -48,6 +50,11 @@ class Heard:
         message = deserialized(KINDS[topic], sample.payload.to_bytes())
         with self._lock:
             self._newest[topic] = message
+
+    def take_map(self, sample: zenoh.Sample) -> None:
+        message = deserialized(GRID, sample.payload.to_bytes())
+        with self._lock:
+            self._newest["map"] = message
 
     def newest(self, topic: str) -> Any:
         with self._lock:
@@ -97,6 +104,20 @@ def test_rviz_sees_the_robot_and_sets_its_pose_and_junk_does_not(tmp_path: Path)
             here = pose_when(daemon, lambda p: p.state is State.LOCALIZED, "localized by itself")
             assert np.hypot(here.x, here.y) < 0.2
             until(lambda: None not in [heard.newest(t) for t in KINDS], "all topics")
+            late = zenoh.ext.declare_advanced_subscriber(
+                ros,
+                RMW_MAP,
+                heard.take_map,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+            )
+            until(lambda: heard.newest("map") is not None, "the map, though it was told before")
+            late.undeclare()  # type: ignore[no-untyped-call]
+            grid = heard.newest("map")
+            cells = grid.data.reshape(grid.info.height, grid.info.width)
+            low = np.array([grid.info.origin.position.x, grid.info.origin.position.y])
+            column, row = ((np.array([here.x, here.y]) - low) / grid.info.resolution).astype(int)
+            assert cells[row, column] == 0  # the robot stands on free floor
+            assert 100 in cells
             seen = heard.newest("pose")
             assert seen.header.frame_id == "map"
             assert np.hypot(seen.pose.pose.position.x, seen.pose.pose.position.y) < 0.2

@@ -13,13 +13,14 @@ import pytest
 import zenoh
 import zenoh.ext
 from messages import pose_of, status_of
-from ros2_bytes import deserialized, ros_pose, serialized
+from ros2_bytes import deserialized, loop_that_draws, picture_of, ros_pose, serialized
 from test_publishing import free_endpoint, repeat_until, session
 
 from amr_slam.encodings import Lane
 from amr_slam.encodings.ros2 import Ros2Encoder, Ros2Settings
 from amr_slam.encodings.ros2.keys import (
     DIAGNOSTICS,
+    GRID,
     ODOMETRY,
     POINTS,
     POSE,
@@ -32,7 +33,7 @@ from amr_slam.geometry import Pose2
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
 from amr_slam.serving import Asked
-from amr_slam.wire import CommandReply, ScanMessage, SetPose, ZenohSettings
+from amr_slam.wire import CommandReply, MapPart, ScanMessage, SetPose, ZenohSettings
 
 INSTANCE = b"a run"
 BOTH = Ros2Settings(plain=True, rmw_zenoh=True, initialpose=True)
@@ -79,7 +80,7 @@ def sent(encoder: Ros2Encoder, **changes: Any) -> dict[str, bytes]:
 def test_the_keys_are_those_of_the_bridge_and_of_rmw_zenoh() -> None:
     keys = {outlet.key: outlet for outlet in encoder().outlets}
     plain = [key for key in keys if key.startswith("amr7/")]
-    topics = ["pose", "odom", "tf", "scan_points", "diagnostics"]
+    topics = ["pose", "odom", "tf", "scan_points", "diagnostics", "map"]
     assert plain == [f"amr7/{topic}" for topic in topics]
     assert len(keys) == 2 * len(topics)
     assert RMW_POSE in keys
@@ -115,6 +116,7 @@ def test_all_that_is_made_has_an_outlet() -> None:
     made = encoder()
     keys = {outlet.key for outlet in made.outlets}
     encoded = [*made.pose(pose_of()), *made.status(status_of()), *made.scan(scan_of())]
+    encoded += made.map(picture_of())
     assert {one.key for one in encoded} == keys
 
 
@@ -271,8 +273,8 @@ def test_the_graph_sees_node_publishers_and_subscription() -> None:
     end = f"{POSE_DDS}/{POSE_HASH}/::,10:,:,:,,"
     assert f"{start}/0/NN/{node}" in found
     assert f"{start}/1/MP/{node}/%amr7%pose/{end}" in found
-    assert f"{start}/6/MS/{node}/%amr7%initialpose/{end}" in found
-    assert len(found) == 1 + 5 + 1
+    assert f"{start}/7/MS/{node}/%amr7%initialpose/{end}" in found
+    assert len(found) == 1 + 6 + 1
 
 
 def test_without_a_namespace_the_tokens_have_an_empty_one() -> None:
@@ -289,11 +291,11 @@ def test_the_graph_forgets_a_robot_that_has_gone() -> None:
             "@ros2_lv/0/**", lambda s: seen.append((str(s.key_expr), s.kind)), history=True
         )
         with robot("", listen=(), connect=(endpoint,)):
-            until(lambda: len(seen) == 7)
-        until(lambda: len(seen) == 14)
+            until(lambda: len(seen) == 8)
+        until(lambda: len(seen) == 16)
         listener.undeclare()  # type: ignore[no-untyped-call]
-    assert all(kind == zenoh.SampleKind.DELETE for _, kind in seen[7:])
-    assert {key for key, _ in seen[:7]} == {key for key, _ in seen[7:]}
+    assert all(kind == zenoh.SampleKind.DELETE for _, kind in seen[8:])
+    assert {key for key, _ in seen[:8]} == {key for key, _ in seen[8:]}
 
 
 # -- how ROS 2's sessions reach the robot
@@ -387,6 +389,51 @@ def test_nodes_reach_the_robot_and_the_robot_the_nodes(
         subscriber.undeclare()  # type: ignore[no-untyped-call]
     assert isinstance(asked[0].request, SetPose)
     assert asked[0].by == "ros2 initialpose"
+
+
+# -- the map, for those who come late
+
+
+def test_the_map_is_drawn_once_and_given_to_late_subscribers_as_rmw_zenoh_has_them() -> None:
+    endpoint = free_endpoint()
+    drawn: list[Asked] = []
+    seen: list[zenoh.Sample] = []
+    key = f"0/amr7/map/{GRID.dds_name}/RIHS01_{GRID.hash}"
+    with robot(endpoint) as publisher:
+        publisher.serve(loop_that_draws(drawn))
+        publisher.publish_status(status_of(map=None))
+        for seq in range(3):  # the same map: drawn once
+            publisher.publish_status(status_of(seq=seq))
+        until(lambda: len(drawn) == 1)
+        with session("client", connect=[endpoint]) as late:
+            subscriber = zenoh.ext.declare_advanced_subscriber(
+                late,
+                key,
+                seen.append,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+                recovery=zenoh.ext.RecoveryConfig(heartbeat=True, periodic_queries=None),
+                subscriber_detection=True,
+            )
+            until(lambda: len(seen) == 1)
+            other_map = MapPart(id="0" * 36, name="other", version=1)
+            publisher.publish_status(status_of(seq=4, map=other_map))
+            until(lambda: len(seen) == 2)
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+    assert len(drawn) == 2
+    assert seen[1].congestion_control == zenoh.CongestionControl.BLOCK
+    assert seen[1].priority == zenoh.Priority.DATA_LOW
+    assert seen[1].attachment is not None
+    read = deserialized(GRID, seen[0].payload.to_bytes())
+    assert (read.info.width, read.info.height, read.info.resolution) == (3, 2, 0.5)
+    assert (read.info.origin.position.x, read.info.origin.position.y) == (1.0, -2.0)
+    assert read.data.tolist() == [0, 0, 100, -1, 0, 0]
+
+
+def test_a_map_that_cannot_be_drawn_is_no_fault(caplog: pytest.LogCaptureFixture) -> None:
+    with robot(free_endpoint()) as publisher:
+        publisher.serve(lambda asked: asked.not_done("the SLAM process has ended meanwhile"))
+        publisher.publish_status(status_of())
+        until(lambda: "the map was not drawn: the SLAM process has ended" in caplog.text)
 
 
 # -- what is taken in

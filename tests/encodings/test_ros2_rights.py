@@ -10,17 +10,18 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from messages import pose_of
-from ros2_bytes import ros_pose, serialized
+import zenoh.ext
+from messages import pose_of, status_of
+from ros2_bytes import loop_that_draws, ros_pose, serialized
 from test_keys import DEADLINE_S, member, router, session, until
 
 from amr_slam.cli import main
 from amr_slam.encodings.ros2 import Ros2Encoder, Ros2Settings
-from amr_slam.encodings.ros2.keys import POSE
+from amr_slam.encodings.ros2.keys import GRID, POSE
 from amr_slam.keys import create, read_credentials
 from amr_slam.keys.site import Site
 from amr_slam.publishing import RobotPublisher
-from amr_slam.serving import Asked
+from amr_slam.serving import Asked, ImageWanted
 from amr_slam.wire import CommandReply, ZenohSettings
 
 SETTINGS = Ros2Settings(plain=True, rmw_zenoh=True, initialpose=True)
@@ -29,6 +30,7 @@ KEYS = {
     "plain": ("amr7/pose", "amr7/initialpose"),
     "rmw": (START.format("pose"), START.format("initialpose")),
 }
+MAPS = {"plain": "amr7/map", "rmw": f"0/amr7/map/{GRID.dds_name}/RIHS01_{GRID.hash}"}
 
 
 class Site7:
@@ -47,6 +49,9 @@ class Site7:
         self.robot.serve(self._loop)
 
     def _loop(self, asked: Asked) -> None:
+        if isinstance(asked.request, ImageWanted):
+            loop_that_draws([])(asked)
+            return
         self.asked.append(asked)
         asked.done(CommandReply(ok=True))
 
@@ -96,12 +101,31 @@ def test_robots_speak_for_themselves_and_commanders_place_them(
         return {str(reply.ok.key_expr) for reply in replies if reply.ok}
 
     true = tokens()
-    assert len(true) == 7
+    assert len(true) == 8
     forged = "@ros2_lv/0/abc/0/0/NN/%/%amr7/amr_slam"
     own = forged.replace("amr7", "amr8")
     held = [forger.liveliness().declare_token(key) for key in (forged, own)]
     until(lambda: tokens() == true | {own})
     assert len(held) == 2
+
+    here.robot.publish_status(status_of())
+    maps: list[bytes] = []
+    late = zenoh.ext.declare_advanced_subscriber(
+        board,
+        MAPS[kind],
+        lambda s: maps.append(s.payload.to_bytes()),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+    )
+    until(lambda: len(maps) == 1)
+    late.undeclare()  # type: ignore[no-untyped-call]
+    again = zenoh.ext.declare_advanced_subscriber(
+        board,
+        MAPS[kind],
+        lambda s: maps.append(s.payload.to_bytes()),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+    )
+    until(lambda: len(maps) == 2)
+    again.undeclare()  # type: ignore[no-untyped-call]
 
     place = serialized(POSE, ros_pose(5, "map", pose_of()))
     for stranger in (board, forger):

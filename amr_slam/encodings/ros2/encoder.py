@@ -6,11 +6,20 @@ from collections.abc import Iterable, Sequence
 from functools import partial
 from typing import Final
 
-from amr_slam.encodings.base import Encoded, Encoder, Inlet, Lane, Outlet, Request
+from amr_slam.encodings.base import (
+    Encoded,
+    Encoder,
+    Inlet,
+    Lane,
+    MapPicture,
+    Outlet,
+    Request,
+)
 from amr_slam.encodings.ros2 import messages
 from amr_slam.encodings.ros2.initialpose import read_initialpose
 from amr_slam.encodings.ros2.keys import (
     DIAGNOSTICS,
+    GRID,
     ODOMETRY,
     POINTS,
     POSE,
@@ -30,6 +39,7 @@ _ODOM: Final = Topic(name="odom", type=ODOMETRY)
 _TF: Final = Topic(name="tf", type=TRANSFORMS)
 _POINTS: Final = Topic(name="scan_points", type=POINTS)
 _DIAGNOSTICS: Final = Topic(name="diagnostics", type=DIAGNOSTICS)
+_MAP: Final = Topic(name="map", type=GRID, latched=True)
 INITIALPOSE: Final = Topic(name="initialpose", type=POSE)
 """The one topic that is listened on."""
 _LANES: Final = {
@@ -38,6 +48,7 @@ _LANES: Final = {
     _TF: Lane.POSE,
     _POINTS: Lane.SCAN,
     _DIAGNOSTICS: Lane.STATUS,
+    _MAP: Lane.MAP,
 }
 PUBLISHED: Final = tuple(_LANES)
 """All topics that a robot may publish."""
@@ -64,7 +75,12 @@ class Ros2Encoder(Encoder):
             topic: gid(self._graph.topic_key(topic), instance) for topic in self._published
         }
         self.outlets: Sequence[Outlet] = [
-            Outlet(key=key, encoding=topic.type.encoding, lane=_LANES[topic])
+            Outlet(
+                key=key,
+                encoding=topic.type.encoding,
+                lane=_LANES[topic],
+                latched=topic.latched,
+            )
             for topic in self._published
             for key in self._keys[topic]
         ]
@@ -116,6 +132,14 @@ class Ros2Encoder(Encoder):
         header = messages.Header(stamp_ns=stamp_ns, frame=self._settings.map_frame)
         payload = messages.points(header, message)
         return self._encoded(_POINTS, payload, seq=message.seq, stamp_ns=stamp_ns)
+
+    def map(self, picture: MapPicture) -> Iterable[Encoded]:
+        stamp_ns = _ns(picture.stamp)
+        if not messages.fits(stamp_ns):
+            return []
+        header = messages.Header(stamp_ns=stamp_ns, frame=self._settings.map_frame)
+        payload = messages.grid(header, picture)
+        return self._encoded(_MAP, payload, seq=picture.seq, stamp_ns=stamp_ns)
 
     def _transforms(self, message: PoseMessage, stamp_ns: int) -> list[messages.Transform]:
         """map -> odom -> base, or map -> base; what is in the map only while that is known."""

@@ -18,6 +18,7 @@ NODE: Final = "amr_slam"
 _NO_HASH: Final = "TypeHashNotSupported"
 _QOS: Final = "::,10:,:,:,,"
 """Reliable, volatile, the last ten kept, no deadlines: only what is not the default is written."""
+_LATCHED: Final = ":1:,1:,:,:,,"
 _GID_BYTES: Final = 16
 
 
@@ -65,6 +66,11 @@ POINTS: Final = Type(
     name="PointCloud2",
     hash="9198cabf7da3796ae6fe19c4cb3bdd3525492988c70522628af5daa124bae2b5",
 )
+GRID: Final = Type(
+    package="nav_msgs",
+    name="OccupancyGrid",
+    hash="8d348150c12913a31ee0ec170fbf25089e4745d17035792a1ba94d6f0bc0cfc7",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +80,8 @@ class Topic:
     name: str
     """Without the namespace."""
     type: Type
+    latched: bool = False
+    """Late subscribers get the newest: transient local, the last one kept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +109,8 @@ class Graph:
         kinds = [("MP", topic) for topic in published] + [("MS", topic) for topic in subscribed]
         for number, (kind, topic) in enumerate(kinds, start=1):
             path = _mangled(f"/{self.namespace}/{topic.name}".replace("//", "/"))
-            what = f"{path}/{topic.type.dds_name}/{self._hash(topic.type)}/{_QOS}"
+            qos = _LATCHED if topic.latched else _QOS
+            what = f"{path}/{topic.type.dds_name}/{self._hash(topic.type)}/{qos}"
             tokens.append(f"{start}/{number}/{kind}/{node}/{what}")
         return tokens
 

@@ -11,8 +11,12 @@ from functools import lru_cache
 from itertools import chain
 from typing import Final
 
+import numpy as np
+
+from amr_slam.encodings.base import MapPicture
 from amr_slam.encodings.ros2.cdr import CdrWriter
 from amr_slam.geometry import Pose2
+from amr_slam.map.export import FREE, OCCUPIED
 from amr_slam.states import State
 from amr_slam.wire import HealthPart, PoseMessage, ScanMessage, StatusMessage
 
@@ -22,6 +26,10 @@ _UNKNOWN: Final = 1e6
 """Variance of what drifts without bound."""
 _FLOAT32: Final = 7
 """PointField's number of the type."""
+
+_CELLS: Final = np.full(256, -1, dtype=np.int8)
+"""What an occupancy grid has for each grey value."""
+_CELLS[OCCUPIED], _CELLS[FREE] = 100, 0
 
 OK, WARN, ERROR = 0, 1, 2
 _LEVELS: Final = {
@@ -123,6 +131,23 @@ def points(header: Header, message: ScanMessage) -> bytes:
     return writer.bytes()
 
 
+def grid(header: Header, picture: MapPicture) -> bytes:
+    """``nav_msgs/OccupancyGrid``: 0 free, 100 occupied, -1 unknown; the first row is the lowest."""
+    at, rows, columns = picture.georeference, *picture.pixels.shape
+    writer = CdrWriter()
+    _header(writer, header)
+    _time(writer, header.stamp_ns)
+    writer.float32(at.metres_per_px)
+    writer.uint32(columns)
+    writer.uint32(rows)
+    left_m = -at.column_of_x0_px * at.metres_per_px
+    low_m = (at.row_of_y0_px - rows) * at.metres_per_px
+    _pose(writer, Pose2(left_m, low_m, 0.0))
+    writer.uint32(rows * columns)
+    writer.raw(_CELLS[picture.pixels[::-1]].tobytes())
+    return writer.bytes()
+
+
 def diagnostics(header: Header, message: StatusMessage) -> bytes:
     """``diagnostic_msgs/DiagnosticArray``: the localization, then each device and process."""
     parts = message.health()
@@ -176,10 +201,14 @@ def _status(
 
 
 def _header(writer: CdrWriter, header: Header) -> None:
-    seconds, nanoseconds = divmod(header.stamp_ns, 1_000_000_000)
+    _time(writer, header.stamp_ns)
+    writer.string(header.frame)
+
+
+def _time(writer: CdrWriter, stamp_ns: int) -> None:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     writer.int32(seconds)
     writer.uint32(nanoseconds)
-    writer.string(header.frame)
 
 
 def _pose(writer: CdrWriter, pose: Pose2) -> None:
