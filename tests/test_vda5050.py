@@ -7,7 +7,6 @@ import queue
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -35,10 +34,15 @@ KIND = {"2.1": "initPosition", "3.0": "initializePosition"}
 RESULT = {"2.1": "resultDescription", "3.0": "actionResult"}
 
 
-@pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Robot]:
-    with Robot(tmp_path) as robot:
-        yield robot
+@pytest.fixture(scope="module")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """One for all tests, in their order: it takes the longest to start."""
+    folder = tmp_path_factory.mktemp("robot")
+    with Robot(folder), Daemon(folder, edit=lambda text: text + VDA5050) as daemon:
+        daemon.listen()
+        yield daemon
+        assert "Traceback" not in daemon.log()
+        assert daemon.stop() == 0
 
 
 def validate(version: str, kind: str, message: Any) -> None:
@@ -151,7 +155,7 @@ def command(session: zenoh.Session, kind: str, **arguments: Any) -> None:
     assert told["ok"], told
 
 
-def test_every_version_is_the_same_pose_to_the_last_digit(robot: Robot, tmp_path: Path) -> None:
+def test_every_version_is_the_same_pose_to_the_last_digit(daemon: Daemon) -> None:
     heard: dict[str, list[tuple[dict[str, Any], dict[str, Any]]]] = defaultdict(list)
 
     def on_sample(sample: zenoh.Sample) -> None:
@@ -159,113 +163,90 @@ def test_every_version_is_the_same_pose_to_the_last_digit(robot: Robot, tmp_path
         which = json.loads(sample.attachment.to_bytes())
         heard[str(sample.key_expr)].append((which, json.loads(sample.payload.to_bytes())))
 
-    with Daemon(tmp_path, edit=lambda text: text + VDA5050) as daemon:
-        daemon.listen()
-        daemon.status_when(in_map("hall"), "a map")
-        config = zenoh.Config()
-        config.insert_json5("mode", '"client"')
-        config.insert_json5("connect/endpoints", json.dumps([daemon.endpoint]))
-        with zenoh.open(config) as session:
-            session.declare_subscriber("uagv/**", on_sample)
-            poses = daemon.next_poses(200)
-        by_seq = {pose.seq: pose for pose in poses}
-        for version, topic in TOPIC.items():
-            both = [(w, told) for w, told in heard[f"{topic}/visualization"] if w["seq"] in by_seq]
-            assert len(both) >= 200 // 5 - 2
-            ids = [told["headerId"] for _, told in both]
-            assert ids == list(range(ids[0], ids[0] + len(both)))
-            for which, told in both:
-                pose = by_seq[which["seq"]]
-                validate(version, "visualization", told)
-                assert which["epoch"] == pose.epoch
-                assert told["timestamp"] == timestamp(pose.stamp)
-                position = told[POSITION[version]]
-                assert (position["x"], position["y"], position["theta"]) == (
-                    pose.x,
-                    pose.y,
-                    pose.theta,
-                )
-                assert position["deviationRange"] == pose.error95_m
-                assert position["mapId"] == "hall"
-                assert told["velocity"] == {"vx": pose.vx, "omega": pose.omega}
-        assert daemon.stop() == 0
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([daemon.endpoint]))
+    daemon.status_when(in_map("hall"), "the first map")
+    with zenoh.open(config) as session:
+        session.declare_subscriber("uagv/**", on_sample)
+        poses = daemon.next_poses(200)
+    by_seq = {pose.seq: pose for pose in poses}
+    for version, topic in TOPIC.items():
+        both = [(w, told) for w, told in heard[f"{topic}/visualization"] if w["seq"] in by_seq]
+        assert len(both) >= 200 // 5 - 2
+        ids = [told["headerId"] for _, told in both]
+        assert ids == list(range(ids[0], ids[0] + len(both)))
+        for which, told in both:
+            pose = by_seq[which["seq"]]
+            validate(version, "visualization", told)
+            assert which["epoch"] == pose.epoch
+            assert told["timestamp"] == timestamp(pose.stamp)
+            position = told[POSITION[version]]
+            assert (position["x"], position["y"], position["theta"]) == (
+                pose.x,
+                pose.y,
+                pose.theta,
+            )
+            assert position["deviationRange"] == pose.error95_m
+            assert position["mapId"] == "hall"
+            assert told["velocity"] == {"vx": pose.vx, "omega": pose.omega}
 
 
-def test_an_mqtt_client_reads_positions_and_sets_one(robot: Robot, tmp_path: Path) -> None:
-    with Daemon(tmp_path, edit=lambda text: text + VDA5050) as daemon:
-        daemon.listen()
-        daemon.status_when(in_map("hall", 15), "a map of a full turn")
-        with everybody(daemon) as (fleet_control, vehicle):
-            here = fleet_control.visualization("2.1")["agvPosition"]
-            assert here["positionInitialized"]
-            assert 0.0 < here["localizationScore"] <= 1.0
-            action = fleet_control.init_position("2.1", x=0, y=0, theta=0.0, mapId="hall")
-            assert "while mapping" in vehicle.ended("2.1", action)["resultDescription"]
+def test_an_mqtt_client_reads_positions_and_sets_one(daemon: Daemon) -> None:
+    daemon.status_when(in_map("hall", 15), "a map of a full turn")
+    with everybody(daemon) as (fleet_control, vehicle):
+        here = fleet_control.visualization("2.1")["agvPosition"]
+        assert here["positionInitialized"]
+        assert 0.0 < here["localizationScore"] <= 1.0
+        action = fleet_control.init_position("2.1", x=0, y=0, theta=0.0, mapId="hall")
+        assert "while mapping" in vehicle.ended("2.1", action)["resultDescription"]
 
-            command(vehicle.session, "save_map", name="kept")
-            command(vehicle.session, "load_map", name="kept")
-            until(lambda: vehicle.state("3.0")["maps"][0]["mapId"] == "kept", "the loaded map")
-            state = vehicle.state("2.1")
-            assert state["agvPosition"]["positionInitialized"] is (state["errors"] == [])
-            for version in TOPIC:
-                told = fleet_control.visualization(
-                    version,
-                    lambda told, v=version: (
-                        told[POSITION[v]][LOCALIZED[v]]  # type: ignore[misc]
-                        and told[POSITION[v]]["mapId"] == "kept"
-                    ),
-                )
-                here = told[POSITION[version]]
-                epoch = daemon.next_poses(1)[0].epoch
-                about = {"theta": here["theta"], "mapId": "kept", "lastNodeId": "n1"}
-                action = fleet_control.init_position(
-                    version, x=here["x"] + 0.5, y=here["y"] - 0.4, **about
-                )
-                ended = vehicle.ended(version, action)
-                assert ended["actionStatus"] == "FINISHED", ended
-                assert ended[RESULT[version]].startswith("found at x=")
-                pose = daemon.next_poses(1)[0]
-                assert pose.epoch == epoch + 1
-                assert np.hypot(pose.x - here["x"], pose.y - here["y"]) < 0.2
-
+        command(vehicle.session, "save_map", name="kept")
+        command(vehicle.session, "load_map", name="kept")
+        until(lambda: vehicle.state("3.0")["maps"][0]["mapId"] == "kept", "the loaded map")
+        state = vehicle.state("2.1")
+        assert state["agvPosition"]["positionInitialized"] is (state["errors"] == [])
+        for version in TOPIC:
+            told = fleet_control.visualization(
+                version,
+                lambda told, v=version: (
+                    told[POSITION[v]][LOCALIZED[v]]  # type: ignore[misc]
+                    and told[POSITION[v]]["mapId"] == "kept"
+                ),
+            )
+            here = told[POSITION[version]]
             epoch = daemon.next_poses(1)[0].epoch
-            refused = 0
-            for wrong, reason in (
-                ({"mapId": "hall"}, "the active map is kept"),
-                ({"theta": 90.0}, "theta"),
-                ({"x": "0"}, "x"),
-                ({"x": 1e7}, "x"),
-            ):
-                position = {"x": 0.0, "y": 0.0, "theta": 0.0, "mapId": "kept"} | wrong
-                action = fleet_control.init_position("3.0", **position)
-                ended = vehicle.ended("3.0", action)
-                assert ended["actionStatus"] == "FAILED"
-                assert reason in ended["actionResult"]
-                refused += 1
-            for payload in (b"", b"{", b"\xff\xfe", b'{"actions": [{}]}', b" " * 20_000):
-                fleet_control.client.publish(f"{TOPIC['3.0']}/instantActions", payload)
-                refused += 1
-            whole = json.dumps({"headerId": 4711, "orderId": ""}).encode()
-            fleet_control.client.publish(f"{TOPIC['3.0']}/state", whole)
-            fleet_control.visualization("3.0", lambda told: told["referenceStateHeaderId"] == 4711)
-            # One of the tries while mapping came before them.
-            daemon.status_when(lambda s: s.refused_requests == refused + 1, "all are counted")
-            assert daemon.next_poses(1)[0].epoch == epoch
-        assert "Traceback" not in daemon.log()
-        assert daemon.stop() == 0
+            about = {"theta": here["theta"], "mapId": "kept", "lastNodeId": "n1"}
+            action = fleet_control.init_position(
+                version, x=here["x"] + 0.5, y=here["y"] - 0.4, **about
+            )
+            ended = vehicle.ended(version, action)
+            assert ended["actionStatus"] == "FINISHED", ended
+            assert ended[RESULT[version]].startswith("found at x=")
+            pose = daemon.next_poses(1)[0]
+            assert pose.epoch == epoch + 1
+            assert np.hypot(pose.x - here["x"], pose.y - here["y"]) < 0.2
 
-
-def test_nobody_sets_the_pose_unless_it_is_switched_on(robot: Robot, tmp_path: Path) -> None:
-    off = VDA5050.replace("take_position = true", "")
-    with Daemon(tmp_path, edit=lambda text: text + off) as daemon:
-        daemon.listen()
-        daemon.status_when(in_map("hall"), "a map")
-        with everybody(daemon) as (fleet_control, vehicle):
-            fleet_control.init_position("3.0", x=0.0, y=0.0, theta=0.0, mapId="hall")
-            state = json.dumps({"headerId": 1}).encode()
-            fleet_control.client.publish(f"{TOPIC['3.0']}/state", state)
-            fleet_control.visualization("3.0", lambda told: told["referenceStateHeaderId"] == 1)
-            key = f"amr/{ROBOT}/vda5050/*/action_states"
-            assert list(vehicle.session.get(key, timeout=DEADLINE_S)) == []
-        assert "command set_pose" not in daemon.log()
-        assert daemon.stop() == 0
+        epoch = daemon.next_poses(1)[0].epoch
+        refused = 0
+        for wrong, reason in (
+            ({"mapId": "hall"}, "the active map is kept"),
+            ({"theta": 90.0}, "theta"),
+            ({"x": "0"}, "x"),
+            ({"x": 1e7}, "x"),
+        ):
+            position = {"x": 0.0, "y": 0.0, "theta": 0.0, "mapId": "kept"} | wrong
+            action = fleet_control.init_position("3.0", **position)
+            ended = vehicle.ended("3.0", action)
+            assert ended["actionStatus"] == "FAILED"
+            assert reason in ended["actionResult"]
+            refused += 1
+        for payload in (b"", b"{", b"\xff\xfe", b'{"actions": [{}]}', b" " * 20_000):
+            fleet_control.client.publish(f"{TOPIC['3.0']}/instantActions", payload)
+            refused += 1
+        whole = json.dumps({"headerId": 4711, "orderId": ""}).encode()
+        fleet_control.client.publish(f"{TOPIC['3.0']}/state", whole)
+        fleet_control.visualization("3.0", lambda told: told["referenceStateHeaderId"] == 4711)
+        # One of the tries while mapping came before them.
+        daemon.status_when(lambda s: s.refused_requests == refused + 1, "all are counted")
+        assert daemon.next_poses(1)[0].epoch == epoch
