@@ -27,17 +27,21 @@ class MapTeller:
         self._tell = tell
         self._asked_for: MapPart | None = None
         self._asked_s = 0.0
+        self._failed = False
 
     def follow(self, message: StatusMessage) -> None:
         """With each status; returns at once."""
         known, now_s = message.map, time.monotonic()
-        if known is None or known == self._asked_for:
+        if known is None or (known == self._asked_for and not self._failed):
             return
         is_another = self._asked_for is None or known.id != self._asked_for.id
         if not is_another and now_s - self._asked_s < _PERIOD_S:
             return
+        failed, self._failed = self._failed, False
         if self._desk.enter(self._draw):
             self._asked_for, self._asked_s = known, now_s
+        else:
+            self._failed = failed
 
     def close(self) -> None:
         self._desk.close()
@@ -47,6 +51,7 @@ class MapTeller:
         try:
             picture: Picture = self._desk.ask(Asked(request=ImageWanted(resolution_m=None), by=""))
         except NotDone as error:
+            self._failed = True
             _log.warning("the map was not drawn: %s", error)
             return _nothing
         return partial(self._tell, picture)

@@ -146,6 +146,7 @@ def test_rviz_sees_the_robot_and_sets_its_pose_and_junk_does_not(tmp_path: Path)
             after = daemon.next_poses(1)[0]
             assert after.epoch == before.epoch
             assert np.hypot(after.x - here.x, after.y - here.y) < 0.3
+        assert daemon.stop() == 0  # nothing of ROS 2 is left open
         log = daemon.log()
         assert "asked by ros2 initialpose" in log
         assert "ros2 initialpose: refused: in frame 'odom', not in 'map'" in log

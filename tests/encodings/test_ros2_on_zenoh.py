@@ -32,7 +32,7 @@ from amr_slam.encodings.ros2.keys import (
 from amr_slam.geometry import Pose2
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
-from amr_slam.serving import Asked
+from amr_slam.serving import Asked, telling
 from amr_slam.wire import CommandReply, MapPart, ScanMessage, SetPose, ZenohSettings
 
 INSTANCE = b"a run"
@@ -429,11 +429,23 @@ def test_the_map_is_drawn_once_and_given_to_late_subscribers_as_rmw_zenoh_has_th
     assert read.data.tolist() == [0, 0, 100, -1, 0, 0]
 
 
-def test_a_map_that_cannot_be_drawn_is_no_fault(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_map_that_was_not_drawn_is_tried_again(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[Asked] = []
+
+    def loop(asked: Asked) -> None:
+        tried.append(asked)
+        asked.not_done("the SLAM process has ended meanwhile")
+
     with robot(free_endpoint()) as publisher:
-        publisher.serve(lambda asked: asked.not_done("the SLAM process has ended meanwhile"))
+        publisher.serve(loop)
         publisher.publish_status(status_of())
         until(lambda: "the map was not drawn: the SLAM process has ended" in caplog.text)
+        publisher.publish_status(status_of())
+        assert len(tried) == 1  # not at once
+        monkeypatch.setattr(telling, "_PERIOD_S", 0.0)
+        repeat_until(lambda: publisher.publish_status(status_of()), lambda: len(tried) >= 2)
 
 
 # -- what is taken in
