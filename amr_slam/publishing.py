@@ -8,42 +8,82 @@ on to another).
 
 from __future__ import annotations
 
+import time
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from types import MappingProxyType
 from typing import Final, Self
 
 import zenoh
+import zenoh.ext
 
 from amr_slam.client.session import close_session, declaring, open_session
-from amr_slam.serving import CommandDesk, MapDesk, Put
+from amr_slam.encodings import Encoded, Encoder, Lane, MapPicture, Outlet
+from amr_slam.map.export import png_pixels
+from amr_slam.serving import CommandDesk, Desk, InletDesk, MapDesk, MapTeller, Picture, Put
 from amr_slam.wire import PoseMessage, ScanMessage, StatusMessage, Topic, ZenohSettings, robot_key
 
-_ENCODING: Final = zenoh.Encoding.APPLICATION_JSON
+_JSON: Final = "application/json"
 _MAX_INBOUND_BYTES: Final = 1 << 17  # commands are all that a robot is sent
+_HEARTBEAT_S: Final = 5.0
+"""Between the numbers of the newest message on a latched key: who has lost it asks for it."""
+_PRIORITIES: Final[Mapping[Lane, zenoh.Priority]] = MappingProxyType(
+    {
+        Lane.POSE: zenoh.Priority.REAL_TIME,
+        Lane.STATUS: zenoh.Priority.DATA_LOW,
+        Lane.SCAN: zenoh.Priority.BACKGROUND,
+        Lane.MAP: zenoh.Priority.DATA_LOW,
+    }
+)
 
 
 class _Topic:
     """Publishes under one key, and answers ``get`` with what was published last."""
 
-    def __init__(self, session: zenoh.Session, key: str, priority: zenoh.Priority) -> None:
-        self._key = key
-        self._latest: bytes | None = None
-        self._publisher = session.declare_publisher(
-            key,
-            encoding=_ENCODING,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=priority,
+    def __init__(self, session: zenoh.Session, outlet: Outlet) -> None:
+        self._key = outlet.key
+        self._encoding = zenoh.Encoding(outlet.encoding)
+        self._latest: tuple[bytes, bytes | None] | None = None
+        self._publisher = _publisher(session, outlet)
+        self._queryable = (
+            session.declare_queryable(self._key, self._answer) if outlet.answers else None
         )
-        self._queryable = session.declare_queryable(key, self._answer)
 
-    def put(self, payload: bytes) -> None:
-        self._latest = payload
-        self._publisher.put(payload)
+    def put(self, payload: bytes, attachment: bytes | None = None) -> None:
+        if self._queryable is not None:
+            self._latest = payload, attachment
+        self._publisher.put(payload, attachment=attachment)
 
     def _answer(self, query: zenoh.Query) -> None:
         latest = self._latest
         with query:
             if latest is not None:
-                query.reply(self._key, latest, encoding=_ENCODING)
+                payload, attachment = latest
+                query.reply(self._key, payload, encoding=self._encoding, attachment=attachment)
+
+
+def _publisher(
+    session: zenoh.Session, outlet: Outlet
+) -> zenoh.Publisher | zenoh.ext.AdvancedPublisher:
+    control = zenoh.CongestionControl
+    waits = control.BLOCK if outlet.lane is Lane.MAP else control.DROP
+    priority = _PRIORITIES[outlet.lane]
+    if not outlet.latched:
+        return session.declare_publisher(
+            outlet.key, encoding=outlet.encoding, congestion_control=waits, priority=priority
+        )
+    return zenoh.ext.declare_advanced_publisher(
+        session,
+        outlet.key,
+        encoding=outlet.encoding,
+        congestion_control=waits,
+        priority=priority,
+        cache=zenoh.ext.CacheConfig(max_samples=1),
+        sample_miss_detection=zenoh.ext.MissDetectionConfig(
+            heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S
+        ),
+        publisher_detection=True,
+    )
 
 
 class RobotPublisher:
@@ -54,8 +94,11 @@ class RobotPublisher:
     one is better.
     """
 
-    def __init__(self, settings: ZenohSettings, robot: str) -> None:
-        """Raises SessionError when an endpoint cannot be listened on."""
+    def __init__(
+        self, settings: ZenohSettings, robot: str, encoders: Sequence[Encoder] = ()
+    ) -> None:
+        """``encoders``: make further forms of each message. Raises SessionError when an endpoint
+        cannot be listened on."""
         self._session = open_session(
             {
                 "mode": "peer",
@@ -74,35 +117,92 @@ class RobotPublisher:
         )
         key = partial(robot_key, settings.prefix, robot)
         self._base = f"{settings.prefix}/{robot}"
-        self._desks: tuple[CommandDesk | MapDesk, ...] = ()
+        self._desks: tuple[Desk | MapDesk | MapTeller, ...] = ()
+        self._commands: CommandDesk | None = None
+        self._inlets: InletDesk | None = None
+        self._teller: MapTeller | None = None
+        self._pictures = 0
+        self._encoders = tuple(encoders)
+        own = {Topic.POSE: Lane.POSE, Topic.STATUS: Lane.STATUS, Topic.SCAN: Lane.SCAN}
         with declaring(self._session):
-            self._pose = _Topic(self._session, key(Topic.POSE), zenoh.Priority.REAL_TIME)
-            self._status = _Topic(self._session, key(Topic.STATUS), zenoh.Priority.DATA_LOW)
-            self._scan = _Topic(self._session, key(Topic.SCAN), zenoh.Priority.BACKGROUND)
-            self._alive = self._session.liveliness().declare_token(key(Topic.ALIVE))
+            self._pose, self._status, self._scan = (
+                _Topic(
+                    self._session,
+                    Outlet(key=key(topic), encoding=_JSON, lane=lane, answers=True),
+                )
+                for topic, lane in own.items()
+            )
+            self._further = {
+                outlet.key: _Topic(self._session, outlet)
+                for encoder in self._encoders
+                for outlet in encoder.outlets
+            }
+            self._tokens = [
+                self._session.liveliness().declare_token(token)
+                for token in (key(Topic.ALIVE), *self._further_tokens())
+            ]
+
+    @property
+    def refused(self) -> int:
+        """How many payloads came in on the encoders' inlets and were not done."""
+        return 0 if self._inlets is None else self._inlets.refused
 
     def publish_pose(self, message: PoseMessage) -> None:
         self._pose.put(message.encode())
+        for encoder in self._encoders:
+            self._put_all(encoder.pose(message))
 
     def publish_status(self, message: StatusMessage) -> None:
         self._status.put(message.encode())
+        for encoder in self._encoders:
+            self._put_all(encoder.status(message))
+        if self._teller is not None:
+            self._teller.follow(message)
 
     def publish_scan(self, message: ScanMessage) -> None:
         self._scan.put(message.encode())
+        for encoder in self._encoders:
+            self._put_all(encoder.scan(message))
 
     def serve(self, put: Put) -> None:
         """From now on, take commands and queries for the map, and have ``put`` do them: it gets
         an :class:`amr_slam.serving.Asked` on another thread and returns at once."""
-        self._desks = (
-            CommandDesk(self._session, self._base, put),
-            MapDesk(self._session, self._base, put),
-        )
+        desk = Desk("commands", put, places=1)  # one for all: one command at a time in any form
+        self._desks = (desk, MapDesk(self._session, self._base, put))
+        self._commands = CommandDesk(self._session, self._base, desk)
+        inlets = [inlet for encoder in self._encoders for inlet in encoder.inlets]
+        if inlets:
+            self._inlets = InletDesk(self._session, inlets, desk)
+        outlets = [outlet for encoder in self._encoders for outlet in encoder.outlets]
+        if any(outlet.lane is Lane.MAP for outlet in outlets):
+            self._teller = MapTeller(put, self._tell_map)
+            self._desks += (self._teller,)
 
     def close(self) -> None:
         """Idempotent. Listeners see the ``alive`` token fall."""
         for desk in self._desks:
             desk.close()
         close_session(self._session)
+
+    def _tell_map(self, picture: Picture) -> None:
+        """On the teller's thread."""
+        drawn = MapPicture(
+            seq=self._pictures,
+            stamp=time.time(),
+            pixels=png_pixels(picture.png),
+            georeference=picture.georeference,
+        )
+        self._pictures += 1
+        for encoder in self._encoders:
+            self._put_all(encoder.map(drawn))
+
+    def _put_all(self, all_encoded: Iterable[Encoded]) -> None:
+        for encoded in all_encoded:
+            self._further[encoded.key].put(encoded.payload, encoded.attachment)
+
+    def _further_tokens(self) -> list[str]:
+        session_id = str(self._session.zid())
+        return [token for encoder in self._encoders for token in encoder.tokens(session_id)]
 
     def __enter__(self) -> Self:
         return self

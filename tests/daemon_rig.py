@@ -90,18 +90,19 @@ def write_config(
     endpoint: str = "tcp/127.0.0.1:7447",
     save_period_s: float = 60.0,
     answer_limit_s: float = 30.0,
+    edit: Callable[[str], str] = str,
 ) -> Path:
-    """A robot.toml whose devices are those of :class:`Robot` in the same folder."""
+    """A robot.toml whose devices are those of :class:`Robot` in the same folder, as ``edit``
+    leaves it."""
     path = folder / "robot.toml"
-    path.write_text(
-        CONFIG.format(
-            folder=folder,
-            dbc=DBC,
-            endpoint=endpoint,
-            save_period_s=save_period_s,
-            answer_limit_s=answer_limit_s,
-        )
+    text = CONFIG.format(
+        folder=folder,
+        dbc=DBC,
+        endpoint=endpoint,
+        save_period_s=save_period_s,
+        answer_limit_s=answer_limit_s,
     )
+    path.write_text(edit(text))
     return path
 
 
@@ -182,10 +183,11 @@ class Daemon:
         save_period_s: float = 60.0,
         answer_limit_s: float = 30.0,
         record: Path | None = None,
+        edit: Callable[[str], str] = str,
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.map_path = folder / "hall.amrmap"
-        self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s)
+        self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s, edit)
         self.supervisor = Supervisor(folder / "notify")
         self._log = folder / "log.txt"
         command = [sys.executable, "-m", "amr_slam", "run", "--config", str(self.config)]

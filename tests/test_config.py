@@ -194,6 +194,8 @@ def test_default_toml_has_every_key() -> None:
     table["map"]["path"] = "only in a comment, as mapping must not have it"
     table["odometry"]["options"] |= {"drive": "as well", "steer": "a tricycle's"}
     table["zenoh"]["keys"] = "only in a comment, as most have none"
+    table["vda5050"] |= {"manufacturer": "only needed where it is on", "serial_number": "likewise"}
+    table["ros2"]["namespace"] = "only in a comment, as the robot's name is in its place"
     table["scanners"] = table["scanners"][0]
     loaded = config.load(file)
     assert keys(table) == keys(replace(loaded, scanners=loaded.scanners[0]))  # type: ignore[arg-type]  # one, as in the table

@@ -35,6 +35,12 @@ def test_the_core_opens_no_device_and_knows_no_network(module: str) -> None:
     assert not [name for name in loaded if name.startswith(("amr_drivers", "amr_slam.simulation"))]
 
 
+def test_further_encodings_are_pure() -> None:
+    loaded = loaded_with("amr_slam.encodings.ros2")
+    assert not loaded & {"zenoh", "rosbags", "serial", "can", "matplotlib"}
+    assert not [name for name in loaded if name.startswith(("amr_drivers", "amr_slam.config"))]
+
+
 @pytest.mark.parametrize("module", ["amr_slam.wire", "amr_slam.client"])
 def test_controllers_need_none_of_the_robots_libraries(module: str) -> None:
     loaded = loaded_with(module)

@@ -7,21 +7,24 @@ import socket
 import stat
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zenoh
-from messages import pose_of
+from messages import MAP_ID, pose_of
 
 from amr_slam.cli import main
 from amr_slam.client import FleetListener, SessionError
+from amr_slam.encodings import vda5050
+from amr_slam.encodings.vda5050 import Vda5050Settings
 from amr_slam.keys import Credentials, KeysError, create, load, read_credentials
 from amr_slam.keys.site import Auth, Site, expires_soon
 from amr_slam.publishing import RobotPublisher
-from amr_slam.wire import ZenohSettings
+from amr_slam.serving import Asked
+from amr_slam.wire import SetPose, ZenohSettings
 
 DEADLINE_S = 20.0
 
@@ -219,6 +222,11 @@ def test_the_command_makes_a_site_and_says_where_its_folders_go(
     out = capsys.readouterr().out
     assert "robot amr7: until 20" in out
     assert "fleet main (commands): until 20" in out
+    assert main(["keys", "vda5050", "uagv", "--dir", keys]) == 0
+    assert "uagv/VERSION/MANUFACTURER/ROBOT/" in capsys.readouterr().out
+    assert "uagv/*/*/amr7/visualization" in (tmp_path / "keys/router/router.json5").read_text()
+    assert main(["keys", "vda5050", "off", "--dir", keys]) == 0
+    assert "uagv" not in (tmp_path / "keys/router/router.json5").read_text()
     assert main(["keys", "revoke", "fleet", "main", "--dir", keys]) == 0
     (tmp_path / "keys/site.json").write_text("{}")
     assert main(["keys", "list", "--dir", keys]) == 1
@@ -239,3 +247,74 @@ def test_a_folder_without_keys_is_named(tmp_path: Path) -> None:
     (tmp_path / "login.json").write_text("[]")
     with pytest.raises(SessionError, match="no user and password"):
         RobotPublisher(ZenohSettings(listen=(), keys=tmp_path), "amr7")
+
+
+def test_of_vda_5050_robots_have_their_own_topics_and_only_commanders_speak_to_them(
+    tmp_path: Path, site: Site, auth: Auth
+) -> None:
+    keys = tmp_path / "keys"
+    with pytest.raises(KeysError, match="letters, digits"):
+        site.allow_vda5050("uagv/#")
+    site.allow_vda5050("uagv")
+    topics = "uagv/v3/acme/amr7"
+    encoders = vda5050.encoders(
+        Vda5050Settings(versions=("3.0",), manufacturer="acme", take_position=True),
+        prefix="amr",
+        robot="amr7",
+        pose_hz=50.0,
+    )
+    places = {"fleet/main": 1.0, "fleet/board": 2.0, "robots/amr8": 3.0}
+    asked: list[Asked] = []
+    heard: list[dict[str, Any]] = []
+
+    def loop(one: Asked) -> None:
+        asked.append(one)
+        one.not_done("nothing fits")
+
+    with router(load(keys), auth) as endpoint, ExitStack() as opened:
+        members = {
+            who: opened.enter_context(session(member(read_credentials(keys / who), endpoint)))
+            for who in ("fleet/main", "fleet/board", "robots/amr8")
+        }
+        members["fleet/board"].declare_subscriber(
+            "uagv/**", lambda sample: heard.append(json.loads(sample.payload.to_bytes()))
+        )
+        settings = ZenohSettings(listen=(), connect=(endpoint,), keys=keys / "robots/amr7")
+        robot = opened.enter_context(RobotPublisher(settings, "amr7", encoders))
+        robot.serve(loop)
+
+        def all_speak(*who: str) -> None:
+            robot.publish_pose(pose_of())
+            members["robots/amr8"].put(f"{topics}/visualization", b'{"forged": true}')
+            for one in who:
+                told = initialize_position(x=places[one], action_id=f"{one}-{len(heard)}")
+                members[one].put(f"{topics}/instantActions", told)
+
+        def commanded() -> bool:
+            all_speak("fleet/main")
+            return bool(asked)
+
+        def overheard() -> bool:
+            all_speak("fleet/board", "robots/amr8")
+            return len(heard) > before + 20
+
+        until(commanded)
+        before = len(heard)
+        until(overheard)
+        assert {one.request.x for one in asked if isinstance(one.request, SetPose)} == {1.0}
+        assert not any("forged" in message for message in heard)
+        key = "amr/amr7/vda5050/v3/action_states"
+
+        def told() -> bool:
+            robot.publish_pose(pose_of())
+            replies = members["fleet/board"].get(key, timeout=1.0)
+            return any(b"nothing fits" in r.ok.payload.to_bytes() for r in replies if r.ok)
+
+        until(told)
+
+
+def initialize_position(*, x: float, action_id: str) -> bytes:
+    position = {"x": x, "y": 2.0, "theta": 0.0, "mapId": MAP_ID}
+    parameters = [{"key": key, "value": value} for key, value in position.items()]
+    action = {"actionType": "initializePosition", "actionId": action_id, "blockingType": "NONE"}
+    return json.dumps({"actions": [{**action, "actionParameters": parameters}]}).encode()

@@ -43,6 +43,9 @@ REQUIRED: dict[str, Any] = {
 ABSENT = {
     "map.path": '"maps/hall.amrmap"',
     "zenoh.keys": '"/etc/amr-slam/keys"',
+    "ros2.namespace": '"amr7"',
+    "vda5050.manufacturer": '"acme"',
+    "vda5050.serial_number": '"amr7"',
     "odometry.options.drive": '{ message = "Traction", signal = "DriveCount" }',
     "odometry.options.steer": '{ message = "Steering", signal = "SteerAngle", unit = "deg" }',
 }

@@ -1,4 +1,4 @@
-"""``amr-slam keys init|robot|fleet|revoke|list``."""
+"""``amr-slam keys init|robot|fleet|revoke|ros2|vda5050|list``."""
 
 from __future__ import annotations
 
@@ -30,6 +30,14 @@ def run(arguments: argparse.Namespace) -> int:
             _say(f"{member.folder}/ is for controller {member.name}: it {rights}")
         case "revoke":
             load(arguments.dir).revoke(arguments.kind, arguments.name)
+        case "ros2":
+            load(arguments.dir).allow_ros2(arguments.domain)
+            said = "no" if arguments.domain is None else f"domain {arguments.domain} of"
+            _say(f"robots may speak {said} ROS 2")
+        case "vda5050":
+            load(arguments.dir).allow_vda5050(arguments.interface)
+            topics = f"{arguments.interface}/VERSION/MANUFACTURER/ROBOT/"
+            _say(f"robots may speak {f'on {topics}' if arguments.interface else 'no VDA 5050'}")
         case _:
             for member in load(arguments.dir).members():
                 _say(_line(member))

@@ -329,8 +329,31 @@ def _add_keys(commands: Subparsers[_Parser]) -> None:
     revoke.add_argument("kind", choices=("robot", "fleet"))
     for parser in (robot, fleet, revoke):
         parser.add_argument("name", metavar="NAME")
+    ros2 = _command(
+        actions,
+        "ros2",
+        "robots may also speak ROS 2, each in the namespace of its name; those who may command may "
+        "also send initial poses",
+        "amr-slam keys ros2 0",
+    )
+    ros2.add_argument(
+        "domain", metavar="DOMAIN|off", type=_domain, help="ROS_DOMAIN_ID, 0 to 232, or off"
+    )
+    vda5050 = _command(
+        actions,
+        "vda5050",
+        "robots may also speak VDA 5050, each under its name as serial number; those who may "
+        "command may also send instant actions",
+        "amr-slam keys vda5050 uagv",
+    )
+    vda5050.add_argument(
+        "interface",
+        metavar="INTERFACE|off",
+        type=lambda text: None if text == "off" else text,
+        help="first level of the topics, or off",
+    )
     listed = _command(actions, "list", "members and when their keys expire", "amr-slam keys list")
-    for parser in (init, robot, fleet, revoke, listed):
+    for parser in (init, robot, fleet, revoke, ros2, vda5050, listed):
         parser.add_argument(
             "--dir", type=Path, default=Path("keys"), help="the site's folder (default keys)"
         )
@@ -367,6 +390,14 @@ def _count(text: str) -> int:
 def _days(text: str) -> int:
     if not (text.isdecimal() and len(text) <= 4 and int(text) > 0):
         raise argparse.ArgumentTypeError(f"{text!r} is not a number of days from 1 to 9999")
+    return int(text)
+
+
+def _domain(text: str) -> int | None:
+    if text == "off":
+        return None
+    if not (text.isdecimal() and len(text) <= 3 and int(text) <= 232):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a ROS_DOMAIN_ID from 0 to 232, or off")
     return int(text)
 
 

@@ -21,6 +21,8 @@ from pydantic import AfterValidator
 from amr_drivers import registry
 from amr_drivers.decoding import module_of
 from amr_slam.config.checking import ConfigError, checked, located, read_toml, shown
+from amr_slam.encodings.ros2 import Ros2Settings
+from amr_slam.encodings.vda5050 import Vda5050Settings
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
@@ -164,6 +166,8 @@ class Config:
     fusion: FilterParams
     localizer: LocalizerParams
     zenoh: ZenohSettings
+    ros2: Ros2Settings
+    vda5050: Vda5050Settings
     service: ServiceSettings
     recording: RecordingSettings
 
@@ -181,6 +185,8 @@ class _File:
     fusion: FilterParams = field(default_factory=FilterParams)
     localizer: LocalizerParams = field(default_factory=LocalizerParams)
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
+    ros2: Ros2Settings = field(default_factory=Ros2Settings)
+    vda5050: Vda5050Settings = field(default_factory=Vda5050Settings)
     service: ServiceSettings = field(default_factory=ServiceSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
 
@@ -223,6 +229,8 @@ def parse(table: Mapping[str, Any]) -> Config:
         fusion=read.fusion,
         localizer=read.localizer,
         zenoh=read.zenoh,
+        ros2=read.ros2,
+        vda5050=read.vda5050,
         service=read.service,
         recording=read.recording,
     )
@@ -257,6 +265,9 @@ def _cross_check(config: Config) -> None:
             address = _address(scanner.options)
             if address and (other := addresses.setdefault(address, here)) != here:
                 raise ConfigError(f"{address} is also the address of {other}", ("options",))
+    if config.ros2.is_on:
+        with located("ros2", "namespace"):
+            _check_ros2_namespace(config)
     with located("map", "path"):
         if config.map.mode == "mapping" and config.map.path is not None:
             raise ConfigError("is for localization; mapping saves <directory>/<name>.amrmap")
@@ -264,6 +275,15 @@ def _cross_check(config: Config) -> None:
             raise ConfigError("is missing: localization needs a map")
         if config.map.path is not None and not os.path.isfile(config.map.path):
             raise ConfigError(f"there is no file {config.map.path}")
+
+
+def _check_ros2_namespace(config: Config) -> None:
+    try:
+        namespace = config.ros2.namespace_of(config.robot.name)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    if config.ros2.plain and namespace == f"{config.zenoh.prefix}/{config.robot.name}":
+        raise ConfigError(f"{namespace} is where the robot's own messages go: pose would be two")
 
 
 def _chosen(

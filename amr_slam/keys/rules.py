@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from amr_slam.encodings.ros2 import ros2_keys
+from amr_slam.encodings.vda5050 import vda5050_keys
+
 Rules = dict[str, Any]
 
 # What controllers may read by ``get``; commands are not among it.
-_READABLE = ("pose", "status", "scan", "map", "map/**")
+_READABLE = ("pose", "status", "scan", "map", "map/**", "vda5050/**")
 
 
 def access_control(
@@ -22,11 +25,16 @@ def access_control(
     watchers: Sequence[str],
     *,
     by: str,
+    ros2_domain: int | None = None,
+    vda5050: str | None = None,
 ) -> Rules:
     """The router's ``access_control``.
 
     ``robots``, ``commanders`` (may call commands) and ``watchers`` (may only look) are names of
-    members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords).
+    members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords). With
+    ``ros2_domain``, robots also speak ROS 2 in it, each in the namespace of its name; with
+    ``vda5050``, the first level of that standard's topics, each under its name as serial number.
+    Initial poses and instant actions are commands, as what is under ``cmd/``.
     """
     rules: list[Rules] = []
     policies: list[Rules] = []
@@ -50,41 +58,59 @@ def access_control(
 
     for robot in robots:
         own = f"{prefix}/{robot}/**"
+        ros2, vda = ros2_keys(ros2_domain, robot), vda5050_keys(vda5050, robot)
         says = allow(
             f"{robot} says",
             ("put", "delete", "declare_queryable", "reply", "liveliness_token"),
             "ingress",
-            (own,),
+            (own, *ros2.says, *ros2.tokens, *vda.says),
         )
-        hears = allow(f"{robot} is asked", ("query",), "egress", (own,))
+        hears = allow(f"{robot} is asked", ("query",), "egress", (own, *ros2.keeps))
+        takes: list[str] = []
+        if told := (*ros2.commands, *vda.commands):
+            takes += [
+                allow(f"{robot} listens", ("declare_subscriber",), "ingress", told),
+                allow(f"{robot} is told", ("put",), "egress", told),
+            ]
         # A publisher sends nothing before it knows of a subscriber, and `amr/**` does not lie
         # within `amr/amr7/**`: of subscriptions a robot hears all.
         learns = allow(
             f"{robot} learns of listeners",
             ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
             "egress",
-            ("**",),
+            ("**", *_graph(ros2_domain)),
         )
-        let(robot, (member(robot=robot),), (says, hears, learns))
+        let(robot, (member(robot=robot),), (says, hears, learns, *takes))
+    ros2, vda = ros2_keys(ros2_domain), vda5050_keys(vda5050)
+    # A fleet control of VDA 5050 looks at all that its vehicles say there.
+    topics = () if vda5050 is None else (f"{vda5050}/**",)
     listens = allow(
         "controllers listen",
         ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query"),
         "ingress",
-        (f"{prefix}/**",),
+        (f"{prefix}/**", *ros2.says, *_graph(ros2_domain), *topics),
     )
     asks = allow(
-        "controllers ask", ("query",), "ingress", [f"{prefix}/*/{leaf}" for leaf in _READABLE]
+        "controllers ask",
+        ("query",),
+        "ingress",
+        [*(f"{prefix}/*/{leaf}" for leaf in _READABLE), *ros2.keeps],
     )
     hear = allow(
         "controllers hear",
         ("put", "delete", "reply", "liveliness_token", "declare_queryable"),
         "egress",
-        (f"{prefix}/**",),
+        (f"{prefix}/**", *ros2.says, *ros2.tokens, *topics),
     )
-    command = allow("controllers command", ("query",), "ingress", (f"{prefix}/*/cmd/*",))
+    command = [allow("controllers command", ("query",), "ingress", (f"{prefix}/*/cmd/*",))]
+    if told := (*ros2.commands, *vda.commands):
+        command += [
+            allow("controllers tell robots", ("put",), "ingress", told),
+            allow("controllers find robots", ("declare_subscriber",), "egress", told),
+        ]
     if commanders:
         names = [member(controller=name) for name in commanders]
-        let("commanders", names, (listens, asks, hear, command))
+        let("commanders", names, (listens, asks, hear, *command))
     if watchers:
         let("watchers", [member(controller=name) for name in watchers], (listens, asks, hear))
     return {
@@ -94,6 +120,11 @@ def access_control(
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def _graph(ros2_domain: int | None) -> tuple[str, ...]:
+    """What rmw_zenoh asks for: the whole graph of a domain, of which it is told the robots."""
+    return () if ros2_domain is None else (f"@ros2_lv/{ros2_domain}/**",)
 
 
 def member(*, robot: str | None = None, controller: str | None = None) -> str:

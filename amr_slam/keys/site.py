@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
-from annotated_types import Len
+from annotated_types import Interval, Len
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
@@ -57,6 +57,8 @@ class _State(BaseModel):
     robots: Annotated[list[str], Len(0, 20_000)] = []
     fleet: Annotated[dict[str, bool], Len(0, 20_000)] = {}
     """Controllers, and whether they may call commands."""
+    ros2_domain: Annotated[int, Interval(ge=0, le=232)] | None = None
+    vda5050: str | None = None
 
 
 def create(
@@ -145,6 +147,20 @@ class Site:
             (self._place(kind, name) / file).unlink(missing_ok=True)
         self.save()
 
+    def allow_ros2(self, domain: int | None) -> None:
+        """From the router's next start on, robots may also speak ROS 2 in this domain, each in the
+        namespace of its name; None: none may. ``domain``: 0 to 232."""
+        self._state.ros2_domain = domain
+        self.save()
+
+    def allow_vda5050(self, interface: str | None) -> None:
+        """From the router's next start on, robots may also speak VDA 5050 on topics that begin with
+        ``interface``, each under its name as serial number; None: none may. Raises KeysError."""
+        if interface is not None:
+            _checked(interface)
+        self._state.vda5050 = interface
+        self.save()
+
     def members(self) -> list[Member]:
         """Robots, then controllers, by name. Raises KeysError when a file is damaged."""
         robots = [self._member("robot", name) for name in sorted(self._state.robots)]
@@ -178,6 +194,8 @@ class Site:
                 commanders,
                 [name for name in state.fleet if name not in commanders],
                 by="cert_common_names" if tls else "usernames",
+                ros2_domain=state.ros2_domain,
+                vda5050=state.vda5050,
             ),
         }
         transport: dict[str, object] = {

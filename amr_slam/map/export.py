@@ -83,6 +83,14 @@ def png_bytes(image: OccupancyImage) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(name, data) for name, data in chunks)
 
 
+def png_pixels(png: bytes) -> NDArray[np.uint8]:
+    """(rows, columns) of what :func:`png_bytes` wrote, not of any other file."""
+    columns, rows = struct.unpack_from(">II", png, 16)
+    (size,) = struct.unpack_from(">I", png, 33)
+    content = zlib.decompress(png[41 : 41 + size])
+    return np.frombuffer(content, dtype=np.uint8).reshape(rows, columns + 1)[:, 1:]
+
+
 def _chunk(name: bytes, data: bytes) -> bytes:
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 

@@ -26,6 +26,7 @@ from amr_slam.samples import DriveSample, Outcome, Scan
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.commands import Commands
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+from amr_slam.service.encoders import encoders
 from amr_slam.service.pipe import FromWorker
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.reporting import Reporter
@@ -71,7 +72,9 @@ def startup(
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
     worker = SlamWorker(_job(config), inbox.put, config.service.answer_limit_s)
     opened.callback(_stop_worker, worker, inbox)
-    publisher = opened.enter_context(RobotPublisher(config.zenoh, config.robot.name))
+    publisher = opened.enter_context(
+        RobotPublisher(config.zenoh, config.robot.name, encoders(config))
+    )
     reconnect_max_s = config.service.reconnect_max_s
     tap, wheels_late_s = recorder.tap, config.localizer.wheels_late_s
     scanners = [ScannerThread(s, inbox.put, reconnect_max_s, tap) for s in config.scanners]

@@ -186,6 +186,7 @@ class Reporter:
             slips=tuple(
                 slip_part(event, self._clock.utc_from_monotonic_ns) for event in self._slips
             ),
+            refused_requests=self._publisher.refused,
         )
 
     def _usage_at(self, now_ns: int) -> tuple[float, float]:

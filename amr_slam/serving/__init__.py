@@ -15,14 +15,20 @@ from amr_slam.serving.asked import (
     Put,
 )
 from amr_slam.serving.commands import CommandDesk
+from amr_slam.serving.desk import Desk
+from amr_slam.serving.inlets import InletDesk
 from amr_slam.serving.maps import MapDesk
+from amr_slam.serving.telling import MapTeller
 
 __all__ = [
     "Asked",
     "CommandDesk",
+    "Desk",
     "ImageWanted",
+    "InletDesk",
     "MapDesk",
     "MapFile",
+    "MapTeller",
     "MapWanted",
     "NotDone",
     "Picture",

@@ -9,29 +9,27 @@ from typing import Final
 
 import zenoh
 
-from amr_slam.serving.asked import Asked, NotDone, Put
+from amr_slam.serving.asked import Asked, NotDone
 from amr_slam.serving.desk import Allowance, Answering, Desk, asking
 from amr_slam.wire import MAX_COMMAND_BYTES, Command, CommandReply, WireError, command_of
 
 _log = logging.getLogger(__name__)
 
-_RATE_HZ: Final = 2.0
-_BURST: Final = 10
+RATE_HZ: Final = 2.0
+BURST: Final = 10
 """So many commands at once, so many a second then: people and controllers need fewer."""
 
 
 class CommandDesk:
     """``cmd/<command>``: one at a time; each gets one :class:`CommandReply`."""
 
-    def __init__(self, session: zenoh.Session, base: str, put: Put) -> None:
+    def __init__(self, session: zenoh.Session, base: str, desk: Desk) -> None:
+        """``desk``: with one place, and for all that commands; whoever made it closes it."""
         self._base = f"{base}/cmd"
-        self._desk = Desk("commands", put, places=1)
-        self._allowance = Allowance(_RATE_HZ, _BURST, time.monotonic())
+        self._desk = desk
+        self._allowance = Allowance(RATE_HZ, BURST, time.monotonic())
         self._lock = threading.Lock()
         self._queryable = session.declare_queryable(f"{self._base}/*", self._on_query)
-
-    def close(self) -> None:
-        self._desk.close()
 
     def _on_query(self, query: zenoh.Query) -> None:
         """On a thread of zenoh's."""
@@ -46,7 +44,7 @@ class CommandDesk:
         with self._lock:
             allowed = self._allowance.takes(time.monotonic())
         if not allowed:
-            self._refuse(query, f"too many commands: {_RATE_HZ:g} a second is enough")
+            self._refuse(query, f"too many commands: {RATE_HZ:g} a second is enough")
         elif not self._desk.enter(lambda: self._perform(query, arguments)):
             self._refuse(query, "another command is under way")
 
@@ -62,20 +60,25 @@ class CommandDesk:
 
     def _perform(self, query: zenoh.Query, arguments: Command) -> Answering:
         """On the desk's thread."""
-        by = asking(query)
-        told = arguments.model_dump_json(exclude={"v"})
-        _log.info("command %s %s, asked by %s", arguments.kind, told, by)
-        try:
-            reply: CommandReply = self._desk.ask(Asked(request=arguments, by=by))
-        except NotDone as error:
-            reply = CommandReply.refusing(f"{arguments.kind}: {error}")
-            _log.info("%s", reply.error)
-        else:
-            _log.info("%s: done", arguments.kind)
+        reply = perform(self._desk, arguments, asking(query))
         return lambda: _reply(query, reply)
 
     def _refuse(self, query: zenoh.Query, reason: str) -> None:
         _reply(query, CommandReply.refusing(reason))
+
+
+def perform(desk: Desk, arguments: Command, by: str) -> CommandReply:
+    """Have the loop do it, and wait for what becomes of it. For the desk's thread."""
+    told = arguments.model_dump_json(exclude={"v"})
+    _log.info("command %s %s, asked by %s", arguments.kind, told, by)
+    try:
+        reply: CommandReply = desk.ask(Asked(request=arguments, by=by))
+    except NotDone as error:
+        reply = CommandReply.refusing(f"{arguments.kind}: {error}")
+        _log.info("%s", reply.error)
+    else:
+        _log.info("%s: done", arguments.kind)
+    return reply
 
 
 def _reply(query: zenoh.Query, reply: CommandReply) -> None:

@@ -191,6 +191,8 @@ class StatusMessage(_Message):
     """No fault, but something for people to do: wheels that are not as configured any more."""
     slips: Annotated[tuple[SlipPart, ...], Len(0, MAX_SLIPS)] = ()
     """The last times that wheels and scans disagreed, newest last."""
+    refused_requests: Count = 0
+    """Commands in other forms than ``cmd/*`` (ROS 2) that were not done: no reply tells of it."""
 
     def health(self) -> Mapping[str, HealthPart]:
         """Every part's health by the name that a technician knows it by."""
