@@ -119,7 +119,7 @@ def _draw_arrows(axes: Axes, starts_m: Array, offsets_m: Array) -> None:
     lengths = steps / 1000.0
     key_m = float(lengths[lengths * magnified <= 0.08 * (high - low)].max(initial=1e-4))
     axes.quiverkey(
-        drawn, 0.98, 0.02, key_m, f"residual {100.0 * key_m:g} cm (x {magnified:g})",
+        drawn, 0.9, 0.02, key_m, f"residual {100.0 * key_m:g} cm (x {magnified:g})",
         labelpos="W", coordinates="axes", zorder=4.0,
     )  # fmt: skip
 

@@ -27,17 +27,21 @@ _USABLE: Final = frozenset({"", "localized", "mapping", "odometry_only"})
 Row = dict[str, str]
 
 
-def read_pairs(path: Path) -> PosePairs:
+def read_pairs(path: Path, map_id: str | None = None) -> PosePairs:
     """Columns ``camera_x, camera_y, slam_x, slam_y`` in m; optional: ``camera_theta, slam_theta``
-    in rad (or ``..._theta_deg``), ``stamp``, ``slam_vx`` (m/s), ``slam_omega`` (rad/s), ``state``.
+    in rad (or ``..._theta_deg``), ``stamp``, ``slam_vx`` (m/s), ``slam_omega`` (rad/s), ``state``
+    and ``map``: only rows of the map ``map_id`` (a UUID) are taken then.
 
     Raises AlignError, one line, with the line of the file.
     """
     labels, site, known, twists = [], [], [], []
-    rates = False
+    rates, others = False, 0
     for number, row in _rows(path, ("camera_x", "camera_y", "slam_x", "slam_y")):
         with _at(path, number):
             if row.get("state", "") not in _USABLE:
+                continue
+            if map_id is not None and row.get("map", map_id) != map_id:
+                others += 1
                 continue
             labels.append(_label(row, ("stamp", "name"), f"line {number}"))
             site.append(_pose(row, "camera_"))
@@ -45,6 +49,8 @@ def read_pairs(path: Path) -> PosePairs:
             rates = "slam_vx" in row and "slam_omega" in row
             if rates:
                 twists.append((_number(row, "slam_vx"), 0.0, _number(row, "slam_omega")))
+    if others and not labels:
+        raise AlignError(f"{path}: all {others} rows are of other maps than {map_id}")
     return PosePairs(
         labels=tuple(labels),
         site=_table(site),

@@ -32,7 +32,7 @@ from amr_slam.map import PointMap, Reframing, load_map, moved, save_map
 from amr_slam.recording import read_tum
 
 _NOTHING: Array = np.empty((0, 2))
-_MOST_ARROWS = 600
+_MOST_ARROWS = 250
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +60,7 @@ def align(arguments: argparse.Namespace) -> int:
     _check(arguments)
     known, map_id = load_map(arguments.map)
     by_plan = arguments.floor_plan is not None
-    found = _by_plan(arguments, known) if by_plan else _by_pairs(arguments)
+    found = _by_plan(arguments, known) if by_plan else _by_pairs(arguments, str(map_id))
     sys.stdout.write(found.report)
     problems = found.problems
     if not found.rms_m <= arguments.max_rms:
@@ -100,7 +100,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError("--residuals belongs to pairs and landmarks")
 
 
-def _by_pairs(arguments: argparse.Namespace) -> _Aligned:
+def _by_pairs(arguments: argparse.Namespace, map_id: str) -> _Aligned:
     params, marker = FitParams(), _pose(arguments.marker)
     clock_s: float | None = None
     if arguments.camera is not None:
@@ -110,7 +110,7 @@ def _by_pairs(arguments: argparse.Namespace) -> _Aligned:
         source: Path = arguments.camera
     elif arguments.pairs is not None:
         source = arguments.pairs
-        pairs = read_pairs(source)
+        pairs = read_pairs(source, map_id)
         fit = fit_pairs(pairs, params, marker)
         clock_s = fit.clock_s if fit.clock_sigma_s is not None else None
     else:
