@@ -8,6 +8,7 @@ on to another).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Final, Self
 
@@ -97,6 +98,17 @@ class RobotPublisher:
             CommandDesk(self._session, self._base, put),
             MapDesk(self._session, self._base, put),
         )
+
+    def hear(self, key: str, put: Callable[[bytes], object]) -> None:
+        """From now on, hand what others publish on a key expression to ``put``, which gets it on
+        a thread of zenoh's and returns at once. Raises SessionError where it is none."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                put(sample.payload.to_bytes())
+
+        with declaring(self._session):
+            self._session.declare_subscriber(key, on_sample)
 
     def close(self) -> None:
         """Idempotent. Listeners see the ``alive`` token fall."""

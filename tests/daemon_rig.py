@@ -90,8 +90,10 @@ def write_config(
     endpoint: str = "tcp/127.0.0.1:7447",
     save_period_s: float = 60.0,
     answer_limit_s: float = 30.0,
+    more: str = "",
 ) -> Path:
-    """A robot.toml whose devices are those of :class:`Robot` in the same folder."""
+    """A robot.toml whose devices are those of :class:`Robot` in the same folder; ``more``: further
+    sections."""
     path = folder / "robot.toml"
     path.write_text(
         CONFIG.format(
@@ -101,6 +103,7 @@ def write_config(
             save_period_s=save_period_s,
             answer_limit_s=answer_limit_s,
         )
+        + more
     )
     return path
 
@@ -182,10 +185,11 @@ class Daemon:
         save_period_s: float = 60.0,
         answer_limit_s: float = 30.0,
         record: Path | None = None,
+        more: str = "",
     ) -> None:
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.map_path = folder / "hall.amrmap"
-        self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s)
+        self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s, more)
         self.supervisor = Supervisor(folder / "notify")
         self._log = folder / "log.txt"
         command = [sys.executable, "-m", "amr_slam", "run", "--config", str(self.config)]

@@ -43,6 +43,8 @@ REQUIRED: dict[str, Any] = {
 ABSENT = {
     "map.path": '"maps/hall.amrmap"',
     "zenoh.keys": '"/etc/amr-slam/keys"',
+    "shadow.key": '"cameras/amr7/pose"',
+    "shadow.clock_s": "-0.08",
     "odometry.options.drive": '{ message = "Traction", signal = "DriveCount" }',
     "odometry.options.steer": '{ message = "Steering", signal = "SteerAngle", unit = "deg" }',
 }

@@ -31,6 +31,7 @@ from amr_slam.params import Preset, SlamParams, preset
 from amr_slam.recording import RecordedDevice
 from amr_slam.recording.raw import settings_table
 from amr_slam.samples import WHEELS
+from amr_slam.shadow import ShadowSettings
 from amr_slam.wire import ZenohSettings
 
 _T = TypeVar("_T")
@@ -166,6 +167,7 @@ class Config:
     zenoh: ZenohSettings
     service: ServiceSettings
     recording: RecordingSettings
+    shadow: ShadowSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,6 +185,7 @@ class _File:
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
     service: ServiceSettings = field(default_factory=ServiceSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
+    shadow: ShadowSettings = field(default_factory=ShadowSettings)
 
 
 def load(file: Path) -> Config:
@@ -225,6 +228,7 @@ def parse(table: Mapping[str, Any]) -> Config:
         zenoh=read.zenoh,
         service=read.service,
         recording=read.recording,
+        shadow=read.shadow,
     )
     _cross_check(config)
     return config

@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Interval, Le, Len
 from pydantic import Field
 
 from amr_slam.states import State
+from amr_slam.wire.shadow import ShadowPart
 from amr_slam.wire.values import (
     Angle,
     Count,
@@ -191,6 +192,8 @@ class StatusMessage(_Message):
     """No fault, but something for people to do: wheels that are not as configured any more."""
     slips: Annotated[tuple[SlipPart, ...], Len(0, MAX_SLIPS)] = ()
     """The last times that wheels and scans disagreed, newest last."""
+    shadow: ShadowPart | None = None
+    """The camera system beside it; null where none is configured."""
 
     def health(self) -> Mapping[str, HealthPart]:
         """Every part's health by the name that a technician knows it by."""
