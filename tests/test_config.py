@@ -194,6 +194,7 @@ def test_default_toml_has_every_key() -> None:
     table["map"]["path"] = "only in a comment, as mapping must not have it"
     table["odometry"]["options"] |= {"drive": "as well", "steer": "a tricycle's"}
     table["zenoh"]["keys"] = "only in a comment, as most have none"
+    table["shadow"] |= {"key": "only in a comment: off", "clock_s": "estimated"}
     table["scanners"] = table["scanners"][0]
     loaded = config.load(file)
     assert keys(table) == keys(replace(loaded, scanners=loaded.scanners[0]))  # type: ignore[arg-type]  # one, as in the table

@@ -26,6 +26,7 @@ _FEW: Final = 10
 """With fewer pairs than this, a marker's offset would be fitted to their noise."""
 _MOST_TURN_SIGMA_RAD: Final = math.radians(0.5)
 _MIRROR_FACTOR: Final = 3.0
+_LINE_M: Final = 0.3
 _LEAST_SCALE: Final = 0.001
 _ONE_WAY: Final = 0.99
 """Mean of unit vectors along headings that differ by 8 deg (1 sigma)."""
@@ -205,13 +206,20 @@ def _mirror_problem(pairs: PosePairs, seen: Pose2, *, free: bool) -> list[str]:
         return []
     if mirrored * _MIRROR_FACTOR + 0.005 < plain:
         return ["the site's frame is mirrored (its y runs the other way): turn it round first"]
-    if plain * _MIRROR_FACTOR + 0.005 < mirrored or _headings_tell(pairs):
+    if plain * _MIRROR_FACTOR + 0.005 < mirrored or _headings_tell(pairs) or not _on_line(pairs):
         return []
     line = (
         "all pairs lie on a line: a mirrored frame would fit as well, and nothing is known beside "
         "the line; take pairs all over the map"
     )
     return [line]
+
+
+def _on_line(pairs: PosePairs) -> bool:
+    """Whether most of the map's positions lie within a hand of one line."""
+    off = pairs.map[:, :2] - np.median(pairs.map[:, :2], axis=0)
+    across = np.linalg.svd(off, full_matrices=False)[2][1]
+    return bool(np.percentile(np.abs(off @ across), 80.0) < _LINE_M)
 
 
 def _headings_tell(pairs: PosePairs) -> bool:

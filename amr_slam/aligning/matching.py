@@ -27,6 +27,7 @@ from amr_slam.registration.field import FieldParams
 from amr_slam.registration.icp import IcpParams, align_many
 
 _MOST_PLACES: Final = 60_000
+_LEAST_POINTS: Final = 20
 _LEAST_SPACING_M: Final = 0.4
 _LOOKED_AT_M: Final = 0.15
 """The two are compared by points this far apart."""
@@ -85,7 +86,7 @@ def fit_plan(
     Raises AlignError where it fits nowhere.
     """
     walls = known.target()
-    if len(walls) < 20:
+    if len(walls) < _LEAST_POINTS:
         raise AlignError("the map has hardly any wall")
     x_min, y_min, x_max, y_max = known.bounds()
     middle = Pose2(0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.0)
@@ -93,7 +94,7 @@ def fit_plan(
     target = Target(points_m=plan.points_m, normals=plan.normals)
     candidates = _candidates(source, target, plan, params, near and near @ middle)
     if not candidates:
-        raise AlignError("the map fits nowhere in the floor plan")
+        raise AlignError("the map fits nowhere in the floor plan, or nowhere near the hint")
     aligned = align_many(source, target, candidates, _COARSE)
     compared = _Compared.of(known, walls, plan)
     places = sorted(
@@ -209,6 +210,8 @@ def _judged(
     middle: Pose2,
 ) -> PlanFit:
     exact = refined(known.target(), plan, best.pose, params.near_m, middle)
+    if len(exact.points_m) < _LEAST_POINTS:
+        raise AlignError("the map fits nowhere in the floor plan, or nowhere near the hint")
     problems, findings = [], []
     if best.explained < params.explained:
         problems.append(

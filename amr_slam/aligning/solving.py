@@ -26,12 +26,15 @@ _STEPS: Final = 4
 _OUTLIER: Final = 5.0
 """A pair that is off by so many standard deviations contradicts the others ..."""
 _OUTLIER_M, _OUTLIER_RAD = 0.03, math.radians(3.0)
-"""... if it is off by this much at least."""
+"""... if it is off by this much at least ..."""
+_STRANGER_M: Final = 0.5
+"""... and in any case if by this much."""
 _SIGMA_M, _SIGMA_RAD = 1e-3, math.radians(0.02)
 """Nobody measures better than this."""
 _FEW_SIGMA_M: Final = 0.01
 """What is taken for the noise where too few pairs tell it."""
 _BLOCKS: Final = 12
+_LEAST_AGREEING: Final = 2
 _RAYLEIGH: Final = 1.1774
 """Median of the length of two normal errors of standard deviation 1."""
 
@@ -60,7 +63,10 @@ class Solved:
         """Before the first step: pairs within a few medians agree."""
         offsets_m, offsets_rad = residuals(pairs, values)
         sigma_m = max(median_m / _RAYLEIGH, _SIGMA_M)
-        agrees = np.hypot(*offsets_m.T) <= max(_OUTLIER * sigma_m, _OUTLIER_M)
+        sizes_m = np.hypot(*offsets_m.T)
+        agrees = sizes_m <= _most_m(sigma_m)
+        if int(agrees.sum()) < _LEAST_AGREEING:
+            agrees = sizes_m <= np.median(sizes_m)
         return Solved(
             values=values,
             active=(),
@@ -187,9 +193,9 @@ def _judged(pairs: PosePairs, values: Array, solved: Solved) -> Solved:
         sigma_m = max(sigma_m, _FEW_SIGMA_M)
     sigma_m = max(sigma_m, _SIGMA_M)
     sigma_rad = max(_spread_rad(off_rad[solved.agrees]), _SIGMA_RAD)
-    agrees = size <= max(_OUTLIER * sigma_m, _OUTLIER_M)
+    agrees = size <= _most_m(sigma_m)
     agrees &= ~(np.abs(off_rad) > max(_OUTLIER * sigma_rad, _OUTLIER_RAD))
-    if int(agrees.sum()) < max(2, (len(solved.active) + 1) // 2):
+    if int(agrees.sum()) < max(_LEAST_AGREEING, (len(solved.active) + 1) // 2):
         agrees = solved.agrees
     return replace(
         solved,
@@ -200,6 +206,10 @@ def _judged(pairs: PosePairs, values: Array, solved: Solved) -> Solved:
         sigma_m=sigma_m,
         sigma_rad=sigma_rad,
     )
+
+
+def _most_m(sigma_m: float) -> float:
+    return min(max(_OUTLIER * sigma_m, _OUTLIER_M), _STRANGER_M)
 
 
 def _spread_rad(off_rad: Array) -> float:
