@@ -3,21 +3,28 @@
 from __future__ import annotations
 
 import functools
-import math
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from amr_slam.aligning import Track
-from amr_slam.geometry import Array, Pose2, wrap_angle
+from amr_slam.geometry import Array, Pose2
 from amr_slam.recording import Trajectory
-from amr_slam.simulation import PathFollower, SimulatedRobot, World, laboratory, plan_tour
+from amr_slam.simulation import (
+    CeilingCameras,
+    PathFollower,
+    SimulatedRobot,
+    World,
+    laboratory,
+    plan_tour,
+)
 
-SITE_FROM_MAP = Pose2(12.3, -4.5, math.radians(40.0))
-MARKER = Pose2(0.11, -0.05, math.radians(3.0))
-"""12 cm off the base."""
+CAMERAS = CeilingCameras()
+SITE_FROM_MAP, MARKER = CAMERAS.site_from_map, CAMERAS.base_from_marker
 _FINER = 8
 """Plans are drawn with pixels so many times as small, then reduced."""
 
@@ -40,27 +47,14 @@ def drive(seed: int = 3) -> Trajectory:
 
 
 def seen_by_cameras(
-    known: Trajectory,
-    rng: np.random.Generator,
-    *,
-    latency_s: float = 0.08,
-    swapped: float = 0.02,
-    scale: float = 1.0,
-    sigma_m: float = 0.01,
-    headings: bool = True,
+    known: Trajectory, rng: np.random.Generator, *, headings: bool = True, **how: Any
 ) -> tuple[Track, NDArray[np.bool_]]:
-    """The marker at 25 Hz, stamped late, and which poses are another robot's: of one that follows
-    14 s behind."""
-    moved = [SITE_FROM_MAP @ Pose2.from_array(pose) @ MARKER for pose in known.poses[::2]]
-    poses: Array = np.array([pose.as_array() for pose in moved])
-    poses[:, :2] *= scale
-    poses[:, :2] += rng.normal(0.0, sigma_m, (len(poses), 2))
-    poses[:, 2] = wrap_angle(poses[:, 2] + rng.normal(0.0, math.radians(0.5), len(poses)))
-    wrong = rng.random(len(poses)) < swapped
-    poses[wrong] = np.roll(poses, 350, axis=0)[wrong]
+    """What they say of the drive, and which poses are another robot's."""
+    seen, wrong = replace(CAMERAS, **how).watch(known, rng)
+    poses = seen.poses.copy()
     if not headings:
         poses[:, 2] = np.nan
-    return Track(stamps_ns=known.stamps_ns[::2] + round(1e9 * latency_s), poses=poses), wrong
+    return Track(stamps_ns=seen.stamps_ns, poses=poses), wrong
 
 
 def draw_plan(

@@ -50,7 +50,10 @@ def read_pairs(path: Path, map_id: str | None = None) -> PosePairs:
             if rates:
                 twists.append((_number(row, "slam_vx"), 0.0, _number(row, "slam_omega")))
     if others and not labels:
-        raise AlignError(f"{path}: all {others} rows are of other maps than {map_id}")
+        raise AlignError(
+            f"{path}: all {others} rows are of other maps than {map_id}: drive in this one "
+            '(mode = "localization") with shadow mode on'
+        )
     return PosePairs(
         labels=tuple(labels),
         site=_table(site),

@@ -72,7 +72,7 @@ class ShadowSettings:
     """Differences are also told by squares of this side, in m."""
     directory: Path = Path("shadow")
     """Where ``<robot>-shadow.csv`` grows, which ``amr-slam map align --pairs`` reads."""
-    file_period_s: Annotated[float, Interval(ge=0, le=3600)] = 0.2
+    file_period_s: Annotated[float, Interval(ge=0, le=3600)] = 1.0
     """At most one line of it in this time, in s."""
     file_mb: Annotated[float, Gt(0), Interval(le=4096)] = 64.0
     """A file of so many megabytes is kept as ``<robot>-shadow.1.csv``, and a new one is begun."""

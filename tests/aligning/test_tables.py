@@ -40,6 +40,14 @@ def test_pairs_as_shadow_mode_records_them(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pairs.twists, [[0.3, 0, 0.1]] * 2)
 
 
+def test_rows_of_other_maps_are_not_mixed_in(tmp_path: Path) -> None:
+    text = "camera_x,camera_y,slam_x,slam_y,map\n1,2,3,4,one\n5,6,7,8,two\n"
+    path = write(tmp_path, text)
+    assert read_pairs(path, "two").site[:, 0].tolist() == [5.0]
+    with pytest.raises(AlignError, match=r"all 2 rows are of other maps than three: drive in this"):
+        read_pairs(path, "three")
+
+
 def test_positions_alone_and_degrees(tmp_path: Path) -> None:
     plain = read_pairs(write(tmp_path, "camera_x,camera_y,slam_x,slam_y\n1,2,3,4\n"))
     assert plain.labels == ("line 2",)

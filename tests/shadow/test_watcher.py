@@ -132,7 +132,7 @@ def test_frame_and_marker_as_configured(made: Any) -> None:
 def test_the_table_brings_the_map_into_the_cameras_frame(made: Any, tmp_path: Path) -> None:
     """The cameras' frame is not known yet, their clock is off, the marker anywhere."""
     camera_from_map, marker = Pose2(12.3, -4.5, math.radians(40.0)), Pose2(0.11, -0.05, 0.05)
-    shadow = made()
+    shadow = made(file_period_s=0.2)
     part = run(shadow, camera_from_map, marker, swapped=0.02)
     assert part.clock_s == pytest.approx(-LATE_S, abs=0.02)  # by the turns alone
     assert part.mean_m > 5.0
