@@ -67,7 +67,87 @@ def draw_map(
         (label, path.poses[:, :2] if isinstance(path, Trajectory) else path)
         for label, path in paths
     ]
-    low, high = _limits(known, [points for _, points in lines])
+    canvas = _canvas(known, [points for _, points in lines], title)
+    for (label, points), (colour, style) in zip(lines, cycle(_LINES), strict=False):
+        _draw_path(canvas.axes, points, label, colour, style)
+    canvas.finish(out, labels=len(lines))
+    return canvas.place
+
+
+def draw_alignment(
+    known: PointMap,
+    plan_m: Array,
+    arrows: tuple[Array, Array],
+    strangers_m: Array,
+    out: Path,
+    title: str,
+) -> Georeference:
+    """What brought a map into its frame: ``plan_m`` (n, 2) a floor plan's walls; ``arrows``: where
+    the map has each point (k, 2) and how far off the site has it (k, 2), drawn many times as long;
+    ``strangers_m`` (j, 2) points that were left out. All in the map's frame, any may be empty.
+
+    Raises as :func:`draw_map`.
+    """
+    starts_m, offsets_m = arrows
+    canvas = _canvas(known, [plan_m, starts_m], title)
+    axes, labels = canvas.axes, 0
+    for points, label, colour, marker, size in (
+        (plan_m, "floor plan", _LINES[1][0], "s", 1.5),
+        (strangers_m, "left out", _LINES[3][0], "x", 4.0),
+    ):
+        if len(points):
+            axes.plot(*points.T, marker, color=colour, markersize=size, label=label, zorder=2.5)
+            labels += 1
+    if len(starts_m):
+        axes.plot(*starts_m.T, ".", color=_LINES[0][0], markersize=2.0, label="pairs", zorder=2.8)
+        _draw_arrows(axes, starts_m, offsets_m)
+        labels += 1
+    canvas.finish(out, labels=labels)
+    return canvas.place
+
+
+def _draw_arrows(axes: Axes, starts_m: Array, offsets_m: Array) -> None:
+    """Magnified so that a large one takes a thirtieth of the picture; a key says by how much."""
+    low, high = axes.get_xlim()
+    most_m = max(float(np.percentile(np.hypot(*offsets_m.T), 95.0)), 1e-4)
+    steps = np.outer(10.0 ** np.arange(-1, 5), (1.0, 2.0, 5.0)).ravel()
+    magnified = float(steps[steps <= max((high - low) / 30.0 / most_m, 0.1)].max())
+    drawn = axes.quiver(
+        *starts_m.T, *offsets_m.T, angles="xy", scale_units="xy", scale=1.0 / magnified,
+        color=_LINES[1][0], width=0.0012, zorder=3.0,
+    )  # fmt: skip
+    lengths = steps / 1000.0
+    key_m = float(lengths[lengths * magnified <= 0.08 * (high - low)].max(initial=1e-4))
+    axes.quiverkey(
+        drawn, 0.9, 0.02, key_m, f"residual {100.0 * key_m:g} cm (x {magnified:g})",
+        labelpos="W", coordinates="axes", zorder=4.0,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Canvas:
+    """A map, drawn, on which more is to be drawn."""
+
+    figure: Figure
+    axes: Axes
+    place: Georeference
+
+    def finish(self, out: Path, *, labels: int) -> None:
+        """With the labels of what was drawn, if there are any, into the file."""
+        if labels:
+            self.axes.legend(
+                loc="lower right",
+                bbox_to_anchor=(1.0, 1.0),
+                ncols=labels,
+                frameon=False,
+                fontsize=9,
+            )
+        _save(self.figure, out)
+
+
+def _canvas(known: PointMap, points_m: Sequence[Array], title: str) -> _Canvas:
+    """The map within limits that ``points_m``, arrays (n, 2), lie in."""
+    low, high = _limits(known, points_m)
     left, right, bottom, top = _MARGINS_IN
     inches_per_m = _LONG_SIDE_IN / float((high - low).max())
     plot_in = (high - low) * inches_per_m
@@ -79,27 +159,17 @@ def draw_map(
     )
     _draw_grid(axes, low, high)
     _draw_known(axes, known, inches_per_m)
-    for (label, points), (colour, style) in zip(lines, cycle(_LINES), strict=False):
-        _draw_path(axes, points, label, colour, style)
     _draw_scale_bar(axes, low, high)
     axes.set_title(title, loc="left", fontsize=11)
-    if lines:
-        axes.legend(
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            ncols=len(lines),
-            frameon=False,
-            fontsize=9,
-        )
-    _save(figure, out)
     px_per_m = inches_per_m * _DOTS_PER_INCH
-    return Georeference(
+    place = Georeference(
         width_px=int(pixels[0]),
         height_px=int(pixels[1]),
         metres_per_px=1.0 / px_per_m,
         column_of_x0_px=float(left * _DOTS_PER_INCH - low[0] * px_per_m),
         row_of_y0_px=float(pixels[1] - bottom * _DOTS_PER_INCH + low[1] * px_per_m),
     )
+    return _Canvas(figure=figure, axes=axes, place=place)
 
 
 def _limits(known: PointMap, paths: Sequence[Array]) -> tuple[Array, Array]:

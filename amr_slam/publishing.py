@@ -9,7 +9,7 @@ on to another).
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Final, Self
@@ -177,6 +177,17 @@ class RobotPublisher:
         if any(outlet.lane is Lane.MAP for outlet in outlets):
             self._teller = MapTeller(put, self._tell_map)
             self._desks += (self._teller,)
+
+    def hear(self, key: str, put: Callable[[bytes], object]) -> None:
+        """From now on, hand what others publish on a key expression to ``put``, which gets it on
+        a thread of zenoh's and returns at once. Raises SessionError where it is none."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                put(sample.payload.to_bytes())
+
+        with declaring(self._session):
+            self._session.declare_subscriber(key, on_sample)
 
     def close(self) -> None:
         """Idempotent. Listeners see the ``alive`` token fall."""

@@ -196,6 +196,7 @@ def test_default_toml_has_every_key() -> None:
     table["zenoh"]["keys"] = "only in a comment, as most have none"
     table["vda5050"] |= {"manufacturer": "only needed where it is on", "serial_number": "likewise"}
     table["ros2"]["namespace"] = "only in a comment, as the robot's name is in its place"
+    table["shadow"] |= {"key": "only in a comment: off", "clock_s": "estimated"}
     table["scanners"] = table["scanners"][0]
     loaded = config.load(file)
     assert keys(table) == keys(replace(loaded, scanners=loaded.scanners[0]))  # type: ignore[arg-type]  # one, as in the table

@@ -46,6 +46,8 @@ ABSENT = {
     "ros2.namespace": '"amr7"',
     "vda5050.manufacturer": '"acme"',
     "vda5050.serial_number": '"amr7"',
+    "shadow.key": '"cameras/amr7/pose"',
+    "shadow.clock_s": "-0.08",
     "odometry.options.drive": '{ message = "Traction", signal = "DriveCount" }',
     "odometry.options.steer": '{ message = "Steering", signal = "SteerAngle", unit = "deg" }',
 }

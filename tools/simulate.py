@@ -14,6 +14,7 @@ import numpy as np
 from amr_slam.recording import RecordingWriter, Trajectory, write_tum
 from amr_slam.samples import Scan
 from amr_slam.simulation import (
+    CeilingCameras,
     PathFollower,
     ScannerModel,
     SimulatedRobot,
@@ -54,12 +55,15 @@ def main() -> int:
             poses.append(robot.map_from_base)
         for stamp_ns, pose in zip(stamps, poses, strict=True):
             writer.write_truth(stamp_ns, pose)
+    truth = Trajectory(
+        stamps_ns=np.array(stamps, dtype=np.int64),
+        poses=np.array([pose.as_array() for pose in poses]),
+    )
     if arguments.truth is not None:
-        trajectory = Trajectory(
-            stamps_ns=np.array(stamps, dtype=np.int64),
-            poses=np.array([pose.as_array() for pose in poses]),
-        )
-        write_tum(arguments.truth, trajectory)
+        write_tum(arguments.truth, truth)
+    if arguments.cameras is not None:
+        seen, _ = CeilingCameras().watch(truth, np.random.default_rng(arguments.seed))
+        write_tum(arguments.cameras, seen)
     print(f"{arguments.out}: {1e-9 * robot.stamp_ns:.1f} s, {scans} scans, {robot.bumps} bumps")
     return 0
 
@@ -76,6 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=int, default=0, help="of the world and all noise")
     add("--out", type=Path, required=True, help="the recording (.mcap)")
     add("--truth", type=Path, help="the true trajectory (TUM), start pose at the origin")
+    add("--cameras", type=Path, help="what ceiling cameras see of it, in a frame of theirs (TUM)")
     add("--duration", type=float, help="seconds; without it, once round the tour")
     add("--scanners", type=int, choices=(1, 2), default=2, help="2: at opposite corners")
     add("--scan-period", type=float, default=2.0, help="seconds between scans of one scanner")

@@ -1,26 +1,38 @@
-"""``amr-slam map info|render|export``."""
+"""``amr-slam map info|render|export|align``."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import uuid
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
+from amr_slam.aligning import AlignError
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.map import MapError, PointMap, load_map
 from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
 from amr_slam.map.file import VERSION
-from amr_slam.recording import Trajectory, write_tum
+from amr_slam.map.provenance import to_header
+from amr_slam.recording import RecordingError, Trajectory, write_tum
 
-FAILURES: Final[dict[type[Exception], int]] = {UsageError: 2, MapError: 1}
+FAILURES: Final[dict[type[Exception], int]] = {
+    UsageError: 2,
+    MapError: 1,
+    AlignError: 1,
+    RecordingError: 1,
+}
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Load the map, then what is asked."""
+    if arguments.action == "align":
+        from amr_slam.cli.aligning import align  # noqa: PLC0415 - scipy and more, for this alone
+
+        return align(arguments)
     if arguments.action != "info":
         check_outputs(arguments.out, source=arguments.map)
     known, map_id = load_map(arguments.map)
@@ -35,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> None:
     x_min, y_min, x_max, y_max = known.bounds()
-    facts = {
+    facts: dict[str, Any] = {
         "uuid": str(map_id),
         "name": known.name,
         "format": VERSION,
@@ -45,13 +57,23 @@ def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> 
         "area_m2": round(known.area_m2(), 3),
         "bounds_m": [round(bound, 3) for bound in (x_min, y_min, x_max, y_max)],
     }
+    if known.reframings:
+        facts["reframings"] = to_header(known.reframings)
     if arguments.json:
         sys.stdout.write(json.dumps(facts) + "\n")
         return
     facts["area_m2"] = f"{known.area_m2():.1f} (floor seen free)"
     facts["bounds_m"] = f"x {x_min:.2f} to {x_max:.2f}, y {y_min:.2f} to {y_max:.2f}"
+    facts.pop("reframings", None)
     for name, value in facts.items():
         sys.stdout.write(f"{name:10}{value}\n")
+    for one in known.reframings:
+        theta_deg = math.degrees(one.theta_rad)
+        sys.stdout.write(
+            f"aligned   from {one.map_id} by {one.by}: "
+            f"x {one.x_m:+.3f} m, y {one.y_m:+.3f} m, theta {theta_deg:+.3f} deg; "
+            f"rms {one.rms_m:.3f} m, {one.used} used, {one.left_out} left out\n"
+        )
 
 
 def _render(arguments: argparse.Namespace, known: PointMap) -> None:

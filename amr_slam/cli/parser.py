@@ -23,6 +23,8 @@ MODULES: Final = {
 """Where a command is done: a module with ``run(arguments) -> status`` and ``FAILURES``, the
 exceptions that end it with one line, each with its exit status."""
 
+_LISTS: Final = frozenset({"--lidar", "--marker", "--near", "--origin"})
+"""Options whose values are numbers joined by commas."""
 LOG_HELP: Final = "native recording (.mcap) or CARMEN log (.log, .clf, .gz of these)"
 
 
@@ -61,8 +63,8 @@ def join_negative_values(argv: Sequence[str]) -> list[str]:
     """``--lidar -0.2,0,180`` as ``--lidar=-0.2,0,180``: argparse takes the former for options."""
     joined: list[str] = []
     for argument in argv:
-        if joined and joined[-1] == "--lidar" and argument[:1] == "-" and "," in argument:
-            joined[-1] = f"--lidar={argument}"
+        if joined and joined[-1] in _LISTS and argument[:1] == "-" and "," in argument:
+            joined[-1] = f"{joined[-1]}={argument}"
         else:
             joined.append(argument)
     return joined
@@ -228,8 +230,89 @@ def _add_map(commands: Subparsers[_Parser]) -> None:
         required=True,
         help="what to write",
     )
-    for action in (info, render, export):
+    align = _add_align(actions)
+    for action in (info, render, export, align):
         action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
+
+
+def _add_align(actions: Subparsers[_Parser]) -> _Parser:
+    align = _command(
+        actions,
+        "align",
+        "into the frame that people know: of ceiling cameras, a survey, a floor plan",
+        "amr-slam map align hall.amrmap --camera cameras.csv --slam drive.tum --out site.amrmap",
+        "The map is shifted and turned, never stretched, and saved as a new one. Status 1, and no "
+        "map, where the two do not fit or the transform is not told. Tables: docs/cameras.md.",
+    )
+    add = align.add_argument
+    by = align.add_mutually_exclusive_group(required=True)
+    by.add_argument(
+        "--pairs",
+        metavar="FILE.csv",
+        type=Path,
+        help="poses in both: camera_x,camera_y,slam_x,slam_y and more; shadow mode records them",
+    )
+    by.add_argument(
+        "--camera",
+        metavar="FILE",
+        type=Path,
+        help="trajectory of the cameras: CSV with stamp,x,y[,theta] or TUM; needs --slam",
+    )
+    by.add_argument(
+        "--landmarks",
+        metavar="FILE.csv",
+        type=Path,
+        help="points that both know: name,x_map,y_map,x_site,y_site",
+    )
+    by.add_argument(
+        "--floor-plan",
+        metavar="FILE",
+        type=Path,
+        help="picture with dark walls, or YAML of nav2's map server",
+    )
+    add("--slam", metavar="FILE.tum", type=Path, help="the same drive by 'replay --map --out'")
+    add(
+        "--clock",
+        metavar="S",
+        type=_finite,
+        help="this added to the camera's stamps is the map's (default: estimated)",
+    )
+    add(
+        "--marker",
+        metavar="X,Y,THETA_DEG",
+        type=_mounting,
+        help="where the cameras' marker sits on the robot (default: estimated)",
+    )
+    add("--resolution", metavar="M", type=_seconds, help="side of a pixel of the floor plan")
+    add(
+        "--origin",
+        metavar="X,Y[,THETA_DEG]",
+        type=_corner,
+        help="the plan's lower left corner in the site's frame (default 0,0)",
+    )
+    add(
+        "--near",
+        metavar="X,Y,THETA_DEG",
+        type=_mounting,
+        help="the map's origin in the plan, to 5 m and 45 deg, where it fits in several ways",
+    )
+    add(
+        "--max-rms",
+        metavar="M",
+        type=_seconds,
+        default=0.05,
+        help="refuse what leaves more than this between both (default 0.05)",
+    )
+    add("--out", metavar="NEW.amrmap", type=_path_ending(".amrmap"), required=True)
+    add("--name", help="the new map's name (default: the file's)")
+    add(
+        "--picture",
+        metavar="FILE",
+        type=_path_ending(".png", ".svg"),
+        help="map and residuals, or the plan",
+    )
+    add("--residuals", metavar="FILE.csv", type=_path_ending(".csv"), help="what each pair leaves")
+    return align
 
 
 def _add_watch(commands: Subparsers[_Parser]) -> None:
@@ -408,6 +491,11 @@ def _mounting(text: str) -> tuple[float, float, float]:
         raise argparse.ArgumentTypeError(f"{text!r} is not X,Y,THETA_DEG")
     x_m, y_m, theta_deg = (_finite(field) for field in fields)
     return x_m, y_m, theta_deg
+
+
+def _corner(text: str) -> tuple[float, float, float]:
+    """x m, y m, and theta in degrees where it is not 0."""
+    return _mounting(text if text.count(",") == 2 else f"{text},0")
 
 
 def _path_ending(*endings: str) -> Callable[[str], Path]:

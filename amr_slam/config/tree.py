@@ -33,6 +33,7 @@ from amr_slam.params import Preset, SlamParams, preset
 from amr_slam.recording import RecordedDevice
 from amr_slam.recording.raw import settings_table
 from amr_slam.samples import WHEELS
+from amr_slam.shadow import ShadowSettings
 from amr_slam.wire import ZenohSettings
 
 _T = TypeVar("_T")
@@ -170,6 +171,7 @@ class Config:
     vda5050: Vda5050Settings
     service: ServiceSettings
     recording: RecordingSettings
+    shadow: ShadowSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,6 +191,7 @@ class _File:
     vda5050: Vda5050Settings = field(default_factory=Vda5050Settings)
     service: ServiceSettings = field(default_factory=ServiceSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
+    shadow: ShadowSettings = field(default_factory=ShadowSettings)
 
 
 def load(file: Path) -> Config:
@@ -233,6 +236,7 @@ def parse(table: Mapping[str, Any]) -> Config:
         vda5050=read.vda5050,
         service=read.service,
         recording=read.recording,
+        shadow=read.shadow,
     )
     _cross_check(config)
     return config

@@ -1,6 +1,8 @@
 """The point-cloud map: what was seen where, how it grows, and its file."""
 
 from amr_slam.map.file import MapError, load_map, save_map
+from amr_slam.map.moving import moved
 from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.provenance import Reframing
 
-__all__ = ["MapError", "MapParams", "PointMap", "load_map", "save_map"]
+__all__ = ["MapError", "MapParams", "PointMap", "Reframing", "load_map", "moved", "save_map"]

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from amr_slam.geometry import Pose2
 from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.provenance import from_header, to_header
 from amr_slam.map.rays import Rays, nothing
 
 MAGIC = b"AMRMAP\r\n"
@@ -129,13 +130,15 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
         for name, array in arrays.items()
     )
     map_id = uuid.uuid5(_NAMESPACE, hashlib.sha256(content).hexdigest())
-    header = {
+    header: dict[str, Any] = {
         "version": VERSION,
         "uuid": str(map_id),
         "name": grown.name,
         "params": asdict(grown.params),
         "rows": {name: len(array) for name, array in arrays.items()},
     }
+    if grown.reframings:
+        header["reframings"] = to_header(grown.reframings)
     text = json.dumps(header, sort_keys=True).encode()
     body = MAGIC + _LENGTH.pack(len(text)) + text + zlib.compress(content, 6)
     return body + hashlib.sha256(body).digest(), map_id
@@ -231,6 +234,7 @@ def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, u
         _upgrade(arrays)
     grown = PointMap(_params(header["params"]), str(header["name"]))
     _fill(grown, arrays)
+    grown.reframings = from_header(header.get("reframings", []))
     return grown, uuid.UUID(str(header["uuid"]))
 
 

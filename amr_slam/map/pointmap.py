@@ -15,6 +15,7 @@ from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
+from amr_slam.map.provenance import Reframing
 from amr_slam.map.rays import Rays, forget, pack
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
@@ -71,6 +72,8 @@ class PointMap:
         """Noise of each of these scans."""
         self.rays: list[Rays] = []
         """What each of these scans saw; nothing where it was forgotten for the memory's sake."""
+        self.reframings: tuple[Reframing, ...] = ()
+        """How its frame became what it is, oldest first; none where a run's start is the origin."""
         self.revision = 0
         """+1 with each insertion: what is derived from the map is valid for one revision."""
         self._deconvolution: Deconvolution | None = None
@@ -131,6 +134,7 @@ class PointMap:
         """A map of the scans that are not forgotten, each at its new pose: one for each scan of
         ``path``, in its order."""
         fresh = PointMap(self.params, self.name)
+        fresh.reframings = self.reframings
         scans = zip(self.path, self.noises_m, self.rays, poses, strict=True)
         for (stamp_ns, _), sigma_m, rays, pose in scans:
             if len(rays):

@@ -34,6 +34,7 @@ from amr_slam.service.systemd import Notifier
 from amr_slam.service.tasks import Tasks
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
+from amr_slam.shadow import Shadow
 from amr_slam.slam_process import SlamJob
 
 _log = logging.getLogger(__name__)
@@ -83,7 +84,8 @@ def startup(
     opened.callback(_stop_devices, devices)
     for device in devices:
         device.start()
-    reporter = Reporter(config, publisher, worker, wheels, scanners, recorder)
+    shadow = _shadow(config, publisher, opened)
+    reporter = Reporter(config, publisher, worker, wheels, scanners, recorder, shadow)
     daemon = Daemon(config, config_path, inbox, worker, reporter, recorder, signals)
     publisher.serve(inbox.put)
     return daemon
@@ -266,6 +268,16 @@ def _job(config: Config) -> SlamJob:
         name=config.map.name,
         save_period_s=config.service.save_period_s,
     )
+
+
+def _shadow(config: Config, publisher: RobotPublisher, opened: ExitStack) -> Shadow | None:
+    """What it hears it tells the reporter, and nobody else."""
+    if config.shadow.key is None:
+        return None
+    shadow = Shadow(config.shadow, config.robot.name)
+    opened.callback(shadow.close)
+    publisher.hear(config.shadow.key, shadow.heard)
+    return shadow
 
 
 def _stop_devices(devices: Sequence[ScannerThread | WheelsThread]) -> None:

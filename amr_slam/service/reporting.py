@@ -29,6 +29,7 @@ from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
+from amr_slam.shadow import Shadow
 from amr_slam.trust import drift_of
 from amr_slam.wheel_events import WheelEvent
 from amr_slam.wire import HealthPart, MapPart, StatusMessage
@@ -53,8 +54,10 @@ class Reporter:
         wheels: WheelsThread,
         scanners: Sequence[ScannerThread],
         recorder: Recorder,
+        shadow: Shadow | None = None,
     ) -> None:
         self._config = config
+        self._shadow = shadow
         self._publisher = publisher
         self._recorder = recorder
         self._worker = worker
@@ -100,6 +103,8 @@ class Reporter:
         self._poses += 1
         self._publisher.publish_pose(message)
         self._recorder.published(message)
+        if self._shadow is not None:
+            self._shadow.said(message)
 
     def publish_scan(self, cloud: Cloud, map_from_base: Pose2) -> None:
         """The points of a scan that was registered, unless nobody wants any."""
@@ -187,6 +192,7 @@ class Reporter:
                 slip_part(event, self._clock.utc_from_monotonic_ns) for event in self._slips
             ),
             refused_requests=self._publisher.refused,
+            shadow=None if self._shadow is None else self._shadow.part(),
         )
 
     def _usage_at(self, now_ns: int) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """A seeded world, a robot in it, and what its devices measure: the product without hardware."""
 
 from amr_slam.simulation.buildings import offices
+from amr_slam.simulation.cameras import CeilingCameras
 from amr_slam.simulation.casting import cast
 from amr_slam.simulation.devices import SCANNERS
 from amr_slam.simulation.disturbances import blocked, moved_furniture
@@ -26,6 +27,7 @@ __all__ = [
     "SCANNERS",
     "WHEEL_PERIOD_NS",
     "CautiousPilot",
+    "CeilingCameras",
     "ClearanceGrid",
     "Coverage",
     "PathFollower",

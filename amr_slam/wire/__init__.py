@@ -39,6 +39,7 @@ from amr_slam.wire.messages import (
 )
 from amr_slam.wire.schemas import json_schemas
 from amr_slam.wire.settings import DEFAULT_ENDPOINT, Endpoint, ZenohSettings
+from amr_slam.wire.shadow import MAX_SHADOW_ZONES, ShadowPart, ShadowZone
 from amr_slam.wire.topics import Topic, command_key, robot_key, robot_of
 from amr_slam.wire.values import (
     MAX_COMMAND_BYTES,
@@ -56,6 +57,7 @@ __all__ = [
     "MAX_MAP_BYTES",
     "MAX_MESSAGE_BYTES",
     "MAX_SCAN_POINTS",
+    "MAX_SHADOW_ZONES",
     "MAX_SLIPS",
     "SCHEMA_VERSION",
     "UNKNOWN",
@@ -77,6 +79,8 @@ __all__ = [
     "SaveRecording",
     "ScanMessage",
     "SetPose",
+    "ShadowPart",
+    "ShadowZone",
     "SlipPart",
     "StartMapping",
     "StatusMessage",

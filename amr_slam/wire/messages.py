@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Interval, Le, Len
 from pydantic import Field
 
 from amr_slam.states import State
+from amr_slam.wire.shadow import ShadowPart
 from amr_slam.wire.values import (
     Angle,
     Count,
@@ -193,6 +194,8 @@ class StatusMessage(_Message):
     """The last times that wheels and scans disagreed, newest last."""
     refused_requests: Count = 0
     """Commands in other forms than ``cmd/*`` (ROS 2) that were not done: no reply tells of it."""
+    shadow: ShadowPart | None = None
+    """The camera system beside it; null where none is configured."""
 
     def health(self) -> Mapping[str, HealthPart]:
         """Every part's health by the name that a technician knows it by."""

@@ -7,7 +7,7 @@ import os
 import struct
 import tracemalloc
 import zlib
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from labs import cloud_at, room
 
 from amr_slam.geometry import Pose2
-from amr_slam.map import MapError, MapParams, PointMap, load_map, save_map
+from amr_slam.map import MapError, MapParams, PointMap, Reframing, load_map, save_map
 from amr_slam.map.file import MAGIC, MAX_CONTENT_BYTES, VERSION, decode, encode
 
 Header = dict[str, Any]
@@ -309,3 +309,31 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(MapError, match=r"file/hall\.amrmap: cannot write"):
         save_map(small_map(), tmp_path / "file" / "hall.amrmap")
+
+
+TOLD = Reframing(
+    map_id="6f1d6a44-7f0c-4b2c-9df0-0d5b4b4f3c11", by="pairs.csv", x_m=1.0, y_m=2.0,
+    theta_rad=0.5, rms_m=0.01, used=40, left_out=2, scale=1.001,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        "no list",
+        [{}],
+        [{"map_id": 1}],
+        [{"x_m": "1"}],
+        [{"x_m": 1e400}],
+        [{"used": -1}],
+        [{"by": "x" * 1000}],
+        [{} for _ in range(100)],
+    ],
+)
+def test_damaged_words_about_the_frame_are_refused(damage: object) -> None:
+    header, content = parts()
+    if isinstance(damage, list) and len(damage) == 1 and damage[0]:
+        damage = [asdict(TOLD) | damage[0]]
+    data = forged(json.dumps(header | {"reframings": damage}).encode(), content)
+    with pytest.raises(MapError, match="makes no sense"):
+        decode(data)

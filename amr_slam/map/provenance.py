@@ -1,0 +1,67 @@
+"""Where a map's frame comes from: kept in the map's file, told by ``map info``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Any, Final
+
+from amr_slam.geometry import Pose2
+
+MAX_REFRAMINGS: Final = 16
+"""A map's file tells the last ones; its header is bounded."""
+_MAX_TEXT: Final = 200
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reframing:
+    """A map was brought into another frame."""
+
+    map_id: str
+    """UUID of the map that it was before."""
+    by: str
+    """By what the frames were brought together, in a few words."""
+    x_m: float
+    """Site frame from the map's old frame ..."""
+    y_m: float
+    theta_rad: float
+    rms_m: float
+    """Of what was left between both."""
+    used: int
+    """Number of pairs or points that it rests on ..."""
+    left_out: int
+    """... and of those that contradicted the others."""
+    scale: float
+    """Site over map, as measured; never applied: a map is as large as its scanners say."""
+
+    @property
+    def site_from_map(self) -> Pose2:
+        return Pose2(self.x_m, self.y_m, self.theta_rad)
+
+
+def to_header(reframings: Sequence[Reframing]) -> list[dict[str, Any]]:
+    """What stands in a map file's header, oldest first."""
+    return [asdict(one) for one in reframings[-MAX_REFRAMINGS:]]
+
+
+def from_header(raw: object) -> tuple[Reframing, ...]:
+    """The other way. Raises ValueError, TypeError or KeyError for anything else."""
+    if not isinstance(raw, list) or len(raw) > MAX_REFRAMINGS:
+        raise ValueError(f"reframings must be a list of at most {MAX_REFRAMINGS}")
+    return tuple(_checked(entry) for entry in raw)
+
+
+def _checked(entry: Any) -> Reframing:
+    # What a newer version adds is none of ours.
+    known = {field.name: entry[field.name] for field in fields(Reframing)}
+    texts = [known[name] for name in ("map_id", "by")]
+    numbers = [known[name] for name in ("x_m", "y_m", "theta_rad", "rms_m", "scale")]
+    counts = [known[name] for name in ("used", "left_out")]
+    if not (
+        all(isinstance(text, str) and len(text) <= _MAX_TEXT for text in texts)
+        and all(type(number) in {int, float} and math.isfinite(number) for number in numbers)
+        and all(type(count) is int and count >= 0 for count in counts)
+    ):
+        raise ValueError("a reframing must be told in texts and finite numbers")
+    return Reframing(**known)
