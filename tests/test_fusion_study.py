@@ -9,7 +9,6 @@ from amr_slam.fusion import FilterParams
 from amr_slam.studies.fusion.between import errors_m
 from amr_slam.studies.fusion.methods import HELD, PRODUCT, UNDELAYED, WHEELS
 from amr_slam.studies.fusion.product import estimates, localizer
-from amr_slam.studies.fusion.promise import trials
 from amr_slam.studies.fusion.simulated import (
     DRIVE,
     Scenario,
@@ -17,6 +16,7 @@ from amr_slam.studies.fusion.simulated import (
     record,
     start_covariance,
 )
+from amr_slam.studies.fusion.trials import trials
 
 SHORT = Scenario(name="driving", duration_s=30.0)
 EXACT = WheelErrors(random_m2_per_m=0.0)
