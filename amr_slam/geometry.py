@@ -86,19 +86,6 @@ class Pose2:
             [a * self.x_m + half * self.y_m, -half * self.x_m + a * self.y_m, self.theta_rad]
         )
 
-    @staticmethod
-    def right_jacobian(tangent: ArrayLike) -> Array:
-        """(3, 3) J with ``exp(v + d) == exp(v) @ exp(J d)`` for small d."""
-        vx, vy, turn = (float(t) for t in np.asarray(tangent, dtype=np.float64))
-        bracket = np.array([[0.0, -turn, vy], [turn, 0.0, -vx], [0.0, 0.0, 0.0]])
-        if abs(turn) < _SMALL_TURN:
-            a, b = 0.5 - turn * turn / 24.0, 1.0 / 6.0 - turn * turn / 120.0
-        else:
-            a = (1.0 - math.cos(turn)) / turn**2
-            b = (turn - math.sin(turn)) / turn**3
-        jacobian: Array = np.eye(3) - a * bracket + b * (bracket @ bracket)
-        return jacobian
-
     def inverse(self) -> Pose2:
         c, s = math.cos(self.theta_rad), math.sin(self.theta_rad)
         return Pose2(-c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, -self.theta_rad)

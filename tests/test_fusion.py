@@ -50,16 +50,6 @@ def driven(steps: int, params: FilterParams = PLAIN, pose: Pose2 | None = None) 
     return fused
 
 
-def carried(pose: Pose2, twist: Array) -> Pose2:
-    """The pose reached along a twist (3,) that is told in the axes of the map."""
-    return pose @ Pose2.exp(Pose2(0.0, 0.0, pose.theta_rad).adjoint().T @ twist)
-
-
-def twist_to(pose: Pose2, other: Pose2) -> Array:
-    """(3,) what :func:`carried` needs."""
-    return Pose2(0.0, 0.0, pose.theta_rad).adjoint() @ (pose.inverse() @ other).log()
-
-
 def pose_at(fused: PoseFilter, stamp_ns: int) -> Pose2:
     found = fused.pose_at(stamp_ns)
     assert found is not None
@@ -152,15 +142,15 @@ def test_a_fix_corrects_at_its_own_stamp_and_wheels_are_replayed() -> None:
     at_ns = 2 * S + 30_000_000
     prior = fused.pose_at(at_ns)
     assert prior is not None
-    z = Pose2.from_array(prior[0].as_array() + np.array([0.02, -0.01, 0.004]))
+    z = prior[0].as_array() + np.array([0.02, -0.01, 0.004])
     gain = prior[1] @ np.linalg.inv(prior[1] + R)
-    x = carried(prior[0], gain @ twist_to(prior[0], z))
-    assert fused.correct(fix(at_ns, z)) is Outcome.ACCEPTED
+    x = prior[0].as_array() + gain @ (z - prior[0].as_array())
+    assert fused.correct(fix(at_ns, Pose2.from_array(z))) is Outcome.ACCEPTED
     since = fused.motion_between(at_ns, fused.stamp_ns)
     assert since is not None
-    expected = x @ since.delta
+    expected = Pose2.from_array(x) @ since.delta
     np.testing.assert_allclose(fused.map_from_base.as_array(), expected.as_array(), atol=1e-12)
-    np.testing.assert_allclose(pose_at(fused, at_ns).as_array(), x.as_array(), atol=1e-12)
+    np.testing.assert_allclose(pose_at(fused, at_ns).as_array(), x, atol=1e-12)
     assert fused.since_fix_s == pytest.approx(5.0 - 2.03)
     assert fused.since_fix_m == pytest.approx(0.03 * 29.7, rel=1e-3)
     before = fused.pose_at(at_ns - 1)
@@ -194,7 +184,7 @@ def test_the_gate_is_on_the_squared_distance(d2: float, outcome: Outcome, axis: 
     S_ = prior[1] + R
     offset = np.zeros(3)
     offset[axis] = math.sqrt(d2 / np.linalg.inv(S_)[axis, axis])
-    far = fix(at_ns, carried(prior[0], offset))
+    far = fix(at_ns, Pose2.from_array(prior[0].as_array() + offset))
     assert fused.correct(far) is outcome
     innovation = fused.last_innovation
     assert innovation is not None
@@ -212,7 +202,7 @@ def test_the_gate_is_on_the_squared_distance(d2: float, outcome: Outcome, axis: 
             turn = Pose2(0.0, 0.0, prior[0].theta_rad).adjoint()
             P, scale = P + 100.0 * turn @ motion.covariance @ turn.T, d2 / 16.27
         gain = P @ np.linalg.inv(P + scale * R)
-        moved = twist_to(prior[0], pose_at(fused, at_ns))
+        moved = pose_at(fused, at_ns).as_array() - prior[0].as_array()
         np.testing.assert_allclose(moved, gain @ offset, atol=1e-12)
 
 
@@ -670,9 +660,43 @@ def test_what_a_motion_owes_to_the_calibration_is_its_derivative() -> None:
         for column, step in enumerate((1e-5, 1e-5, 1e-5, 1e-3)):
             nudged = [trail.compose(*ends, way * step * np.eye(4)[column]) for way in (-1.0, 1.0)]
             slope = (nudged[0].delta.inverse() @ nudged[1].delta).log() / (2.0 * step)
-            # The lag's speeds are means over a tenth of a second.
+            # The lag's speeds are means over 0.4 s.
             atol = 0.02 if column == 3 else 1e-3
             np.testing.assert_allclose(composed.by_calibration[:, column], slope, atol=atol)
+
+
+def test_what_the_wheels_missed_is_spread_over_the_steps_by_their_noise() -> None:
+    """All that a fix says of the way is found again in its steps, and the way itself stays."""
+    trail = Trail(0)
+    for k in range(100):
+        trail.append(arc(k * STEP_NS, 0.03 * (1.0 + math.sin(0.1 * k)), 0.02, STEP_NS))
+    plain = trail.compose(S, 6 * S)
+    pull = np.array([2.0, -3.0, 1.5])
+    pulled = trail.compose(S, 6 * S, pull=pull)
+    assert pulled.delta == plain.delta
+    np.testing.assert_array_equal(pulled.noise, plain.noise)
+    missed = plain.noise @ pull
+    # A turn's error is the scale's share of the whole turn, a bend's of the whole way.
+    assert pulled.by_calibration[2, 1] == pytest.approx(plain.delta.theta_rad + missed[2])
+    far = trail.compose(S, 6 * S, pull=np.zeros(3))
+    np.testing.assert_array_equal(far.by_calibration, plain.by_calibration)
+
+
+def test_noise_teaches_next_to_nothing_of_the_wheels() -> None:
+    """Straight ahead, all turns that the wheels report are noise: no reason to believe that they
+    report too much of them. Taken as they come, they make the yaw scale -0.29, sure to 0.08."""
+    learned = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        fused, truth = PoseFilter(FilterParams(), 0, Pose2.identity(), 0.01 * R), Pose2.identity()
+        for k in range(600):
+            truth = truth @ Pose2.exp([0.05, 0.0, 0.0])
+            fused.predict(arc(k * STEP_NS, 0.05, rng.normal(0.0, 0.0067)))
+            if k % 20 == 19:
+                fused.correct(fix(fused.stamp_ns, truth, 0.01 * R))
+        learned.append(fused.calibration.yaw)
+        assert fused.calibration.yaw_sigma > 0.095
+    assert abs(float(np.mean(learned))) < 0.1
 
 
 # -- wheels that slip

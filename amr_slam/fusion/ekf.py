@@ -6,11 +6,6 @@ before the prediction and knows no residual.
 State (10,): x, y, theta of the base in the map frame; travel, yaw, bend and lag of the wheels
 (:class:`amr_slam.fusion.values.Calibration`); x, y, theta of the map's own error where the robot
 is. A fix measures pose plus map error: fixes that share their error are no witnesses of each other.
-
-The pose's error is a constant twist, told along the axes of the map: the truth is
-``pose @ exp(v)`` with v of covariance P in axes turned by theta (the left-invariant error of
-SE(2)). Over a straight way a wrong heading bends the cloud of possible places to a banana; in these
-coordinates it stays the ellipse that P says. See ``docs/adr/0020-errors-as-twists.md``.
 """
 
 from __future__ import annotations
@@ -24,7 +19,7 @@ from filterpy.kalman import ExtendedKalmanFilter
 from amr_slam.fusion.covariance import symmetric
 from amr_slam.fusion.trail import Composed
 from amr_slam.fusion.values import FilterParams
-from amr_slam.geometry import Array, Pose2, readonly
+from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
 
 STATES: Final = 10
 POSE: Final = slice(0, 3)
@@ -74,7 +69,8 @@ class Ekf(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
         end = Pose2.from_array(self.x[POSE]) @ u.delta
         way_m = u.travel_m + u.turn_rad
         kept = math.exp(-way_m / self._range_m)
-        map_from_body = _axes(end)
+        c, s = math.cos(end.theta_rad), math.sin(end.theta_rad)
+        map_from_body = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         F, Q = np.eye(STATES), np.zeros((STATES, STATES))
         F[0, 2], F[1, 2] = self.x[1] - end.y_m, end.x_m - self.x[0]
         F[POSE, CALIBRATION] = map_from_body @ u.by_calibration
@@ -95,16 +91,10 @@ class Ekf(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
         """x (10,) and P (10, 10) after a measured pose z (3,) of covariance R (3, 3)."""
         self.x, self.P = x, P
         self.update(z, HJacobian=lambda _: MEASURED, Hx=seen, R=R, residual=residual)
-        pose = Pose2.from_array(x[POSE])
-        twist = _axes(pose).T @ (self.x - x)[POSE]
-        corrected = pose @ Pose2.exp(twist)
         after = np.array(self.x)
-        after[POSE] = corrected.as_array()
+        after[2] = wrap_angle(float(after[2]))
         after[CALIBRATION] = np.clip(after[CALIBRATION], -self._limits, self._limits)
-        # What is unsure about the old pose, seen from the new one.
-        carry = np.eye(STATES)
-        carry[POSE, POSE] = _axes(corrected) @ Pose2.right_jacobian(twist) @ _axes(pose).T
-        return after, symmetric(carry @ self.P @ carry.T)
+        return after, symmetric(self.P)
 
     def _capped(self, P: Array) -> Array:
         """Nothing learned is less certain than what was believed before."""
@@ -123,12 +113,5 @@ def seen(x: Array) -> Array:
 
 
 def residual(z: Array, x: Array) -> Array:
-    """(3,) the twist from pose x (3,) to pose z (3,), along the axes of the map."""
-    expected = Pose2.from_array(x)
-    twist: Array = _axes(expected) @ (expected.inverse() @ Pose2.from_array(z)).log()
-    return twist
-
-
-def _axes(pose: Pose2) -> Array:
-    """(3, 3): from the body's axes to the map's."""
-    return Pose2(0.0, 0.0, pose.theta_rad).adjoint()
+    """z - x (3,) with the angle wrapped."""
+    return np.array([z[0] - x[0], z[1] - x[1], wrap_angle(float(z[2] - x[2]))])
