@@ -240,7 +240,8 @@ class PoseEstimate:
     stamp_ns: int
     map_from_base: Pose2
     covariance: Array
-    """(3, 3) read-only, of (x, y, theta) in the map frame."""
+    """(3, 3) read-only, of (x, y, theta) in the map frame; exactly: of the twist from this pose to
+    the true one, along the map's axes (``docs/adr/0020-errors-as-twists.md``)."""
     odom_from_base: Pose2
     """Wheels alone since the start: drifts, never jumps."""
     vx_mps: float

@@ -52,6 +52,12 @@ class WheelEvents:
         if not self._events or slip.stamp_ns - self._events[-1].slip.stamp_ns > 1e9 * fresh_s:
             self.note(slip, None)
 
+    def note_standing(self, wheel: str, since_ns: int, stamp_ns: int) -> None:
+        """A wheel whose counts stand, told by the wheels alone."""
+        slip = Slip(stamp_ns=stamp_ns, since_ns=since_ns, forward_m=0.0, left_m=0.0, turn_rad=0.0)
+        text = f"{wheel} wheel stuck: its counts stand, the other wheel's go on"
+        self._events.append(WheelEvent(slip=slip, text=text))
+
     def fault(self, now_ns: int, fresh_s: float) -> str | None:
         """The newest event while it is fresh."""
         if not self._events or now_ns - self._events[-1].slip.stamp_ns > 1e9 * fresh_s:

@@ -660,9 +660,43 @@ def test_what_a_motion_owes_to_the_calibration_is_its_derivative() -> None:
         for column, step in enumerate((1e-5, 1e-5, 1e-5, 1e-3)):
             nudged = [trail.compose(*ends, way * step * np.eye(4)[column]) for way in (-1.0, 1.0)]
             slope = (nudged[0].delta.inverse() @ nudged[1].delta).log() / (2.0 * step)
-            # The lag's speeds are means over a tenth of a second.
+            # The lag's speeds are means over 0.4 s.
             atol = 0.02 if column == 3 else 1e-3
             np.testing.assert_allclose(composed.by_calibration[:, column], slope, atol=atol)
+
+
+def test_what_the_wheels_missed_is_spread_over_the_steps_by_their_noise() -> None:
+    """All that a fix says of the way is found again in its steps, and the way itself stays."""
+    trail = Trail(0)
+    for k in range(100):
+        trail.append(arc(k * STEP_NS, 0.03 * (1.0 + math.sin(0.1 * k)), 0.02, STEP_NS))
+    plain = trail.compose(S, 6 * S)
+    pull = np.array([2.0, -3.0, 1.5])
+    pulled = trail.compose(S, 6 * S, pull=pull)
+    assert pulled.delta == plain.delta
+    np.testing.assert_array_equal(pulled.noise, plain.noise)
+    missed = plain.noise @ pull
+    # A turn's error is the scale's share of the whole turn, a bend's of the whole way.
+    assert pulled.by_calibration[2, 1] == pytest.approx(plain.delta.theta_rad + missed[2])
+    far = trail.compose(S, 6 * S, pull=np.zeros(3))
+    np.testing.assert_array_equal(far.by_calibration, plain.by_calibration)
+
+
+def test_noise_teaches_next_to_nothing_of_the_wheels() -> None:
+    """Straight ahead, all turns that the wheels report are noise: no reason to believe that they
+    report too much of them. Taken as they come, they make the yaw scale -0.29, sure to 0.08."""
+    learned = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        fused, truth = PoseFilter(FilterParams(), 0, Pose2.identity(), 0.01 * R), Pose2.identity()
+        for k in range(600):
+            truth = truth @ Pose2.exp([0.05, 0.0, 0.0])
+            fused.predict(arc(k * STEP_NS, 0.05, rng.normal(0.0, 0.0067)))
+            if k % 20 == 19:
+                fused.correct(fix(fused.stamp_ns, truth, 0.01 * R))
+        learned.append(fused.calibration.yaw)
+        assert fused.calibration.yaw_sigma > 0.095
+    assert abs(float(np.mean(learned))) < 0.1
 
 
 # -- wheels that slip

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from amr_slam.fusion import FilterParams
+from amr_slam.geometry import Pose2
 from amr_slam.studies.fusion.between import errors_m
 from amr_slam.studies.fusion.methods import HELD, PRODUCT, UNDELAYED, WHEELS
-from amr_slam.studies.fusion.product import estimates, localizer
-from amr_slam.studies.fusion.promise import trials
+from amr_slam.studies.fusion.product import estimates, localizer, twist_off
 from amr_slam.studies.fusion.simulated import (
     DRIVE,
     Scenario,
@@ -17,6 +17,7 @@ from amr_slam.studies.fusion.simulated import (
     record,
     start_covariance,
 )
+from amr_slam.studies.fusion.trials import Trials, believed, trials
 
 SHORT = Scenario(name="driving", duration_s=30.0)
 EXACT = WheelErrors(random_m2_per_m=0.0)
@@ -58,3 +59,59 @@ def test_a_standing_robot_learns_no_wheels() -> None:
     assert known is not None
     assert (known.travel, known.yaw, known.bend_radpm, known.lag_s) == (0.0, 0.0, 0.0, 0.0)
     assert known.travel_sigma == FilterParams().calibration.travel_sigma
+
+
+def test_a_wrong_heading_is_the_same_twist_however_far_the_robot_drives_on() -> None:
+    """In x and y the places that a wrong heading leads to lie on an arc; as twists on a line."""
+    wrong = Pose2(1.0, 2.0, 0.7)
+    truth = wrong @ Pose2.exp([0.0, 0.0, 0.3])
+    way = Pose2(30.0, 0.0, 0.0)
+    axes = Pose2(0.0, 0.0, wrong.theta_rad).adjoint()
+    expected = axes @ way.inverse().adjoint() @ np.array([0.0, 0.0, 0.3])
+    np.testing.assert_allclose(twist_off(wrong @ way, truth @ way), expected, atol=1e-12)
+
+
+def test_runs_shared_by_processes_are_the_same_runs() -> None:
+    short = Scenario(name="driving", duration_s=5.0)
+    alone, shared = trials(short, 4, seed=3), trials(short, 4, seed=3, workers=2)
+    np.testing.assert_array_equal(alone.whitened, shared.whitened)
+    np.testing.assert_array_equal(alone.error95_m, shared.error95_m)
+    assert alone.covered_sigma == shared.covered_sigma
+
+
+def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trials:
+    """100 runs of 200 steps whose errors are ``size`` times the claimed ones."""
+    white = [rng.standard_normal((100, 3))]
+    for _ in range(199):
+        white.append(kept * white[-1] + np.sqrt(1.0 - kept**2) * rng.standard_normal((100, 3)))
+    nothing = np.zeros((100, 200, 3))
+    return Trials(
+        errors=nothing,
+        covariances=np.zeros((100, 200, 3, 3)),
+        whitened=size * np.stack(white, axis=1),
+        error95_m=nothing[..., 0],
+    )
+
+
+def test_an_honest_filter_reaches_the_share_that_honest_filters_reach() -> None:
+    rng = np.random.default_rng(0)
+    honest = [synthetic(rng, 1.0) for _ in range(20)]
+    spans = [one.honest(rng) for one in honest]
+    within = [low <= one.consistent <= high for one, (low, high) in zip(honest, spans, strict=True)]
+    assert 15 <= sum(within) <= 20
+    low, high = spans[0]
+    assert 0.85 < low < 0.94 < high < 1.0
+    # Errors that are too large or too small by a tenth are found out, and what is asked stays.
+    for size in (0.88, 1.12):
+        other = synthetic(rng, size)
+        assert other.consistent < 0.8
+        assert other.honest(rng)[0] == pytest.approx(low, abs=0.05)
+
+
+def test_wheels_are_drawn_within_what_can_be_learned() -> None:
+    params = FilterParams()
+    rng = np.random.default_rng(0)
+    drawn = [believed(params, rng) for _ in range(3000)]
+    rows = np.array([(one.travel, one.yaw, one.bend_radpm, one.lag_s) for one in drawn])
+    assert (np.abs(rows).max(axis=0) <= params.calibration.limits).all()
+    np.testing.assert_allclose(rows.std(axis=0), params.calibration.sigmas, rtol=0.05)

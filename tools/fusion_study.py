@@ -36,13 +36,19 @@ def main() -> int:
     parser.add_argument("--only", nargs="+", choices=[*STUDIES, "recordings"], default=None)
     parser.add_argument("--scale", type=float, default=1.0, help="share of the runs")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=2, help="processes of the promise's runs")
     parser.add_argument("--logs", type=Path, help="folder of public logs, for the recordings")
     parser.add_argument("--out", type=Path, default=Path("docs/evaluation-fusion.md"))
     arguments = parser.parse_args()
     if arguments.logs is not None:
         studies["recordings"] = partial(recordings.study, logs=arguments.logs)
     begun_s = time.process_time()
-    effort = Effort(scale=arguments.scale, seed=arguments.seed, progress=_say)
+    effort = Effort(
+        scale=arguments.scale,
+        seed=arguments.seed,
+        workers=arguments.workers,
+        progress=_say,
+    )
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     sections: list[Section] = []
     for name in arguments.only or studies:

@@ -85,9 +85,16 @@ class Chain:
             fix_reported=self._trail.reported(stamp_ns),
         )
 
-    def _composed(self, state: State, stamp_ns: int) -> Composed:
-        """The wheels' motion since a state, under what that state knows of them."""
-        composed = self._trail.compose(state.stamp_ns, stamp_ns, state.x[CALIBRATION])
+    def _composed(self, state: State, stamp_ns: int, pull: Array | None = None) -> Composed:
+        """The wheels' motion since a state, under what that state knows of them.
+
+        ``pull``: what a fix says of it (:meth:`Trail.compose`). To learn from noise would make the
+        wheels seem known that are not: along a corridor a robot hardly turns, and most of the turn
+        that its wheels report is noise.
+        """
+        if pull is not None:
+            pull = state.distrust * pull
+        composed = self._trail.compose(state.stamp_ns, stamp_ns, state.x[CALIBRATION], pull)
         unseen_s = 1e-9 * (stamp_ns - self._trail.end_ns) + float(state.x[CALIBRATION][3])
         noise = composed.noise * state.distrust
         if unseen_s > 0.0:
@@ -115,7 +122,8 @@ class Chain:
         x, P = prior.x, prior.P
         z, R = fix.map_from_base.as_array(), self._params.fix_inflation * fix.covariance
         y = residual(z, seen(x))
-        d2 = float(y @ np.linalg.solve(MEASURED @ P @ MEASURED.T + R, y))
+        pull = np.linalg.solve(MEASURED @ P @ MEASURED.T + R, y)
+        d2 = float(y @ pull)
         outcome, slip, distrust = Outcome.ACCEPTED, None, max(1.0, last.distrust / _FORGIVEN)
         error = missed(Pose2.from_array(seen(x)), fix.map_from_base)
         if last.refused is not None:  # what looked like a wrong fix was the wheels' fault, or not
@@ -128,6 +136,10 @@ class Chain:
             P, R = P_slipped, R * min(d2, self._params.gate_d2_inflated) / self._params.gate_d2
             outcome, distrust = Outcome.INFLATED, self._params.slip_factor
             slip = told(last.fix_ns, fix.stamp_ns, error)
+        else:
+            body = Pose2(0.0, 0.0, float(x[2])).adjoint().T
+            motion = self._composed(last, fix.stamp_ns, body @ pull)
+            P = self._after(last, fix.stamp_ns, motion).P
         x, P = self._ekf.updated(x, P, z, R)
         if not sound(x, P):
             return prior, Innovation(stamp_ns=fix.stamp_ns, d2=d2, outcome=Outcome.INVALID)

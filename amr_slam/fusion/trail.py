@@ -20,8 +20,12 @@ NOMINAL: Final = np.zeros(4)
 """Travel, yaw, bend and lag of wheels that are what their driver says."""
 _ROOM = 256
 _COLUMNS = ("_stamps", "_twists", "_noises", "_sums", "_doubted")
-# Speeds are averages over this time to both sides: one step's quotient is counting noise.
-_HALF_WINDOW_NS = 50_000_000
+# The speed that goes on after the newest sample is the mean over this time: one step's quotient is
+# counting noise.
+_LATEST_NS = 100_000_000
+# What a lag does is told by the speeds at both ends, means over this time to either side. Noise in
+# them would be taken for something to learn from: short enough for a robot that accelerates.
+_HALF_WINDOW_NS = 200_000_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,11 +115,19 @@ class Trail:
         self._sums[row, 3:] += (way, abs(motion.delta.theta_rad), motion.gap)
         self._size += 1
 
-    def compose(self, start_ns: int, end_ns: int, calibration: Array = NOMINAL) -> Composed:
+    def compose(
+        self,
+        start_ns: int,
+        end_ns: int,
+        calibration: Array = NOMINAL,
+        pull: Array | None = None,
+    ) -> Composed:
         """From one instant of the scans to another, either of which may be the earlier.
 
         ``calibration``: (4,) as :data:`NOMINAL`; its lag is the way from the scans' stamps to the
-        wheels'.
+        wheels'. ``pull``: (3,) in the end's frame, what a fix there says of the motion:
+        its residual over the residual's covariance. ``by_calibration`` is then taken along the way
+        that the robot most likely went, and not along that of the noisy wheels.
         """
         if end_ns < start_ns:
             return self.compose(end_ns, start_ns, calibration).reversed()
@@ -131,6 +143,8 @@ class Trail:
         rates = [self._rate(at_ns) * scale for at_ns in (start_ns, end_ns)]
         by_lag = rates[1] - to_end @ rates[0]
         change = self._sum_at(end_ns) - self._sum_at(start_ns)
+        if pull is not None:
+            twists = twists + _likely_noise(ends, noises, to_end.T @ pull) / scale
         return Composed(
             delta=delta,
             noise=to_end @ _carried_noise(ends, noises) @ to_end.T,
@@ -221,7 +235,7 @@ class Trail:
         noises = self._noises[rows] * share[:, None, None]
         if end_ns > newest_ns and self._size > 1:
             ahead_s = 1e-9 * (end_ns - max(newest_ns, start_ns))
-            begin_ns = self.node_before(newest_ns - 2 * _HALF_WINDOW_NS)
+            begin_ns = self.node_before(newest_ns - _LATEST_NS)
             since = int(np.searchsorted(stamps, begin_ns, side="right"))
             rate = ahead_s / (1e-9 * (newest_ns - begin_ns))
             twists = np.vstack([twists, rate * self._twists[since : self._size].sum(axis=0)])
@@ -287,6 +301,15 @@ def _carried_noise(ends: Array, noises: NDArray[np.float64]) -> Array:
     carried = (carry @ noises).transpose(1, 0, 2).reshape(3, -1)
     total: Array = carried @ carry.transpose(1, 0, 2).reshape(3, -1).T
     return total
+
+
+def _likely_noise(ends: Array, noises: NDArray[np.float64], pull: Array) -> Array:
+    """(n, 3) what each step most likely missed, given what a fix says of all of them together.
+
+    ``pull``: (3,) as in :meth:`Trail.compose`, in the frame of the beginning.
+    """
+    likely: Array = (noises @ (_adjoints(ends).transpose(0, 2, 1) @ pull)[:, :, None])[:, :, 0]
+    return likely
 
 
 def _sensitivity(middles: Array, twists: Array) -> Array:

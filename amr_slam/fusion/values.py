@@ -29,7 +29,7 @@ class CalibrationParams:
     """The learned share stays within plus and minus this."""
     yaw_sigma: Annotated[float, Ge(0)] = 0.1
     """Of the scale of the turn, as a share."""
-    yaw_limit: Annotated[float, Ge(0)] = 0.2
+    yaw_limit: Annotated[float, Ge(0)] = 0.3
     """Its bound."""
     bend_radpm: Annotated[float, Ge(0)] = 0.03
     """Of the turn in rad that the wheels do not see in a metre ahead: unequal wheels."""

@@ -13,6 +13,7 @@ from amr_slam.fusion import Easing, FilterParams, PoseFilter, Slip
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.odometry import Odometry
 from amr_slam.samples import DriveSample, Motion, Outcome, SlamPose
+from amr_slam.standing_wheels import StandingWheels
 from amr_slam.trust import LocalizerParams
 from amr_slam.wheel_events import WheelEvents
 
@@ -46,6 +47,7 @@ class FusedPose:
         """Instant of the first one."""
         self.easing = Easing(params.easing)
         self.events = WheelEvents(odometry)
+        self._standing = StandingWheels(odometry, filter_params)
 
     @property
     def running(self) -> PoseFilter:
@@ -68,13 +70,22 @@ class FusedPose:
             # The silence was already bridged up to a scan: go on from there.
             motion = self.odometry.silence(self.filter.stamp_ns, sample.stamp_ns)
         else:
-            motion = self.odometry.motion(self.wheels, sample)
+            motion = self._doubted(sample, self.odometry.motion(self.wheels, sample))
         self.wheels = sample
         outcome = self.filter.predict(motion)
         leap = self.filter.last_leap
         if leap is not None and leap.stamp_ns == sample.stamp_ns:
             self.events.note_leap(leap, self._params.slip_told_s)
         return outcome
+
+    def _doubted(self, sample: DriveSample, motion: Motion) -> Motion:
+        """A motion by wheels of which one may be stuck."""
+        known = self._standing.suspects
+        motion = self._standing.heed(sample, motion)
+        for wheel, suspect in self._standing.suspects.items():
+            if wheel not in known:
+                self.events.note_standing(wheel, suspect.last.stamp_ns, sample.stamp_ns)
+        return motion
 
     def bridge_silence(self, until_ns: int) -> None:
         """Wheels that are silent must not stop the scans: carry the filter on, unsure."""

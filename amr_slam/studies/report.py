@@ -56,6 +56,8 @@ class Effort:
 
     scale: float = 1.0
     seed: int = 0
+    workers: int = 1
+    """Processes that share the work, where a study can be shared."""
     progress: Callable[[str], None] = print
 
     def trials(self, full: int, least: int = 1) -> int:

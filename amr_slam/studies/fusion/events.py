@@ -23,6 +23,7 @@ from amr_slam.studies.report import Effort, Section, Table
 
 _SCENARIO: Final = Scenario(name="driving", speed_mps=0.3, turn_radps=0.1)
 _AT_S: Final = 31.0
+_MOVING_S: Final = 38.0
 _NS: Final = 1_000_000_000
 
 
@@ -82,15 +83,17 @@ def spun(left_m: float, right_m: float) -> Callable[[Recording], Recording]:
     return change
 
 
-def stuck(seconds: float) -> Callable[[Recording], Recording]:
+def stuck(seconds: float, begin_s: float = _AT_S) -> Callable[[Recording], Recording]:
     """The left wheel's counts stand still for so long."""
 
     def change(drive: Recording) -> Recording:
         times = np.array([1e-9 * sample.stamp_ns for sample in drive.wheels])
         left = np.array([sample.left_rad for sample in drive.wheels])
-        begin, end = np.interp([_AT_S, _AT_S + seconds], times, left)
+        begin, end = np.interp([begin_s, begin_s + seconds], times, left)
         shown = np.where(
-            times < _AT_S, left, np.where(times < _AT_S + seconds, begin, left - (end - begin))
+            times < begin_s,
+            left,
+            np.where(times < begin_s + seconds, begin, left - (end - begin)),
         )
         wheels = tuple(
             replace(sample, left_rad=float(value))
@@ -108,7 +111,8 @@ CASES: Final = (
     Case(name="11 s without fixes, then one wrong fix 2 m off", change=outage(2.0, _AT_S + 12.5)),
     Case(name="left wheel spins by 0.2 m", change=spun(0.2, 0.0)),
     Case(name="both wheels spin by 0.2 m", change=spun(0.2, 0.2)),
-    Case(name="left wheel's counts stand for 4 s", change=stuck(4.0)),
+    Case(name="left wheel's counts stand for 4 s, from a halt on", change=stuck(4.0)),
+    Case(name="left wheel's counts stand for 4 s, at full speed", change=stuck(4.0, _MOVING_S)),
 )
 
 

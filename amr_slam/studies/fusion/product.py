@@ -57,3 +57,10 @@ def off(estimate: Pose2, truth: Pose2) -> Array:
     error = estimate.as_array() - truth.as_array()
     error[2] = wrap_angle(float(error[2]))
     return np.asarray(error)
+
+
+def twist_off(estimate: Pose2, truth: Pose2) -> Array:
+    """(3,) the twist from the estimate to the truth, along the axes of the map: what the covariance
+    of a pose is about."""
+    axes = Pose2(0.0, 0.0, estimate.theta_rad).adjoint()
+    return np.asarray(axes @ (estimate.inverse() @ truth).log())

@@ -91,9 +91,10 @@ def record(
 ) -> Recording:
     """Drive once. Registration takes 0.2 to 0.8 s."""
     dt_s = 1.0 / wheel_hz
-    # The wheels' clock is late: what they report at t happened at t - lag.
+    # The wheels' clock is late: what they report at t happened at t - lag. The steps end where the
+    # wheels are read, as noise between two steps would be smoothed.
     margin_s = 1.0
-    times = np.arange(-margin_s, scenario.duration_s + margin_s, dt_s)
+    times = np.arange(-margin_s, scenario.duration_s + margin_s, dt_s) - errors.lag_s
     speeds, turns = _speeds(scenario, times, rng)
     poses = _path(speeds * dt_s, turns * dt_s)
     at = np.arange(0.0, scenario.duration_s, dt_s)

@@ -1,0 +1,146 @@
+"""Many drives of one situation: how far the fused pose is off, and what it claims."""
+
+from __future__ import annotations
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from amr_slam.fusion import FilterParams
+from amr_slam.geometry import Array, Pose2
+from amr_slam.studies.fusion.product import estimates, localizer, off, twist_off
+from amr_slam.studies.fusion.simulated import Scenario, WheelErrors, record, start_covariance
+
+_EVERY_S: Final = 0.25
+# How often an honest filter's runs are drawn to see how much their share varies.
+_DRAWS: Final = 400
+_CHUNK: Final = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Trials:
+    """Many runs of one scenario."""
+
+    errors: Array
+    """(runs, steps, 3) published pose less the truth."""
+    covariances: Array
+    """(runs, steps, 3, 3) published."""
+    whitened: Array
+    """(runs, steps, 3) error of the filter's own pose, into which corrections enter at once, as a
+    twist in units of what the covariance claims: white and of variance 1 where that is true."""
+    error95_m: Array
+    """(runs, steps)"""
+
+    @property
+    def nees(self) -> Array:
+        """(runs, steps) normalized squared error of the filter's own pose."""
+        return np.asarray(np.square(self.whitened).sum(axis=-1))
+
+    @property
+    def is_covered(self) -> Array:
+        """(runs, steps) whether the true error was below the claimed one."""
+        far = np.hypot(self.errors[..., 0], self.errors[..., 1])
+        return np.asarray(far <= self.error95_m)
+
+    @property
+    def covered(self) -> float:
+        """Share of all steps at which the true error was below the claimed one."""
+        return float(np.mean(self.is_covered))
+
+    @property
+    def covered_sigma(self) -> float:
+        """Standard deviation of :attr:`covered`: the steps of one run are no witnesses of each
+        other, the runs are."""
+        by_run = self.is_covered.mean(axis=1)
+        return float(by_run.std(ddof=1) / np.sqrt(len(by_run)))
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """Between these lie 95 % of the means of NEES over so many runs, if the covariance is
+        true."""
+        freedom = 3 * len(self.whitened)
+        low, high = (float(chi2.ppf(p, freedom)) / len(self.whitened) for p in (0.025, 0.975))
+        return low, high
+
+    @property
+    def consistent(self) -> float:
+        """Share of the steps at which the mean NEES over the runs lies in its band."""
+        return self._inside(self.whitened)
+
+    def honest(self, rng: np.random.Generator) -> tuple[float, float]:
+        """Between these lie 90 % of the shares that filters of true covariance reach with so many
+        runs, their errors correlated in time as these are.
+
+        Drawn: Gaussian mixtures of the runs at hand, made white at every step.
+        """
+        runs = len(self.whitened)
+        spread = np.einsum("rti,rtj->tij", self.whitened, self.whitened) / runs
+        to_white = np.linalg.inv(np.linalg.cholesky(spread))
+        white = np.einsum("tij,rtj->rti", to_white, self.whitened) / np.sqrt(runs)
+        draws = (rng.standard_normal((runs, runs)) for _ in range(_DRAWS))
+        shares = [self._inside(np.tensordot(draw, white, axes=1)) for draw in draws]
+        low, high = np.quantile(shares, (0.05, 0.95))
+        return float(low), float(high)
+
+    def _inside(self, whitened: Array) -> float:
+        low, high = self.band
+        by_step = np.square(whitened).sum(axis=-1).mean(axis=0)
+        return float(np.mean((by_step >= low) & (by_step <= high)))
+
+
+def trials(
+    scenario: Scenario,
+    runs: int,
+    seed: int,
+    params: FilterParams | None = None,
+    *,
+    workers: int = 1,
+) -> Trials:
+    """``runs`` drives with wheels as wrong as the filter believes that they may be."""
+    one = partial(_run, scenario, params or FilterParams(), seed)
+    if workers == 1:
+        found = [one(run) for run in range(runs)]
+    else:
+        # Spawned: a fork would copy the locks of the threads that numpy has started.
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, mp_context=context) as pool:
+            found = list(pool.map(one, range(runs), chunksize=_CHUNK))
+    errors, covariances, whitened, claims = (
+        np.array(column) for column in zip(*found, strict=True)
+    )
+    return Trials(errors=errors, covariances=covariances, whitened=whitened, error95_m=claims)
+
+
+def _run(
+    scenario: Scenario, params: FilterParams, seed: int, run: int
+) -> tuple[Array, Array, Array, Array]:
+    """One drive's columns of :class:`Trials`."""
+    rng = np.random.default_rng((seed, run))
+    wrong = believed(params, rng)
+    drive = record(scenario, wrong, rng)
+    spread = start_covariance()
+    start = drive.truth[0].as_array() + rng.normal(0.0, 1.0, 3) * np.sqrt(np.diag(spread))
+    robot = localizer(params, Pose2.from_array(start), spread)
+    every = round(_EVERY_S / (1e-9 * drive.wheels[1].stamp_ns))
+    rows = []
+    for one, truth in estimates(drive, robot, every):
+        assert robot.filter is not None
+        own, covariance = robot.filter.map_from_base, robot.filter.covariance
+        white = np.linalg.solve(np.linalg.cholesky(covariance), twist_off(own, truth))
+        rows.append((off(one.map_from_base, truth), one.covariance, white, one.error95_m))
+    errors, covariances, whitened, claims = (np.array(column) for column in zip(*rows, strict=True))
+    return errors, covariances, whitened, claims
+
+
+def believed(params: FilterParams, rng: np.random.Generator) -> WheelErrors:
+    """Wheels as wrong as the filter believes at first, within the limits of what it can learn."""
+    limits, sigmas = params.calibration.limits, params.calibration.sigmas
+    drawn = sigmas * rng.standard_normal(4)
+    while (np.abs(drawn) > limits).any():
+        drawn = sigmas * rng.standard_normal(4)
+    return WheelErrors(travel=drawn[0], yaw=drawn[1], bend_radpm=drawn[2], lag_s=drawn[3])
