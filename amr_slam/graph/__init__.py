@@ -1,1 +1,1 @@
-"""Maps that close: pieces of the way, the loops between them, and the poses that agree with both."""
+"""Maps that close: pieces of the way, loops between them, poses that agree with both."""

@@ -27,7 +27,8 @@ class Chart:
     def __init__(self, params: SlamParams) -> None:
         self._closing = Closing(params)
         self._submaps = Submaps(params.map, params.closing.submap_m)
-        self._edges: list[Edge] = []
+        self.edges: list[Edge] = []
+        """Steps of the way, and loops."""
         self._ways_m: list[float] = []
         self.poses: Array = np.empty((0, 3))
         """(n, 3) map_from_base of all nodes, as well as is known now."""
@@ -60,16 +61,16 @@ class Chart:
         way_m = 0.0
         if row:
             way_m = self._ways_m[-1] + self.newest.distance_to(pose)
-            self._edges.append(_step(row, self.newest, pose, covariance))
+            self.edges.append(_step(row, self.newest, pose, covariance))
         self.poses = np.concatenate([self.poses, pose.as_array()[np.newaxis]])
         self._ways_m.append(way_m)
         self._submaps.insert(row, cloud, pose, self._ways_m)
         found = self._closing.seek(cloud, self.poses, self._ways_m, self._submaps.finished)
         if not found:
             return None
-        self._edges += found
+        self.edges += found
         self.loops += len(found)
-        self.poses = optimize(self.poses, self._edges).poses
+        self.poses = optimize(self.poses, self.edges).poses
         self.moved = True
         moved = self.newest @ pose.inverse()
         if np.hypot(*(self.newest.translation - pose.translation)) < _MOVED_M and (
