@@ -58,6 +58,41 @@ class Plausibility:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ClosingParams:
+    """Loops of a map that is made from nothing."""
+
+    submap_m: Annotated[float, Gt(1.0), Le(1000.0)] = 30.0
+    """Way in m after which a piece of the map is finished."""
+    step_m: Annotated[float, Gt(0.0)] = 1.0
+    """A loop is sought each time that the robot has gone so far."""
+    least_way_m: Annotated[float, Gt(0.0)] = 12.0
+    """What was left less than this much way ago is no loop yet."""
+    reach_m: Annotated[float, Gt(0.0)] = 0.5
+    """A place may be off by this much"""
+    drift: Annotated[float, Ge(0.0), Le(1.0)] = 0.05
+    """and this share of the way since it was left, or since the last loop was closed,"""
+    most_m: Annotated[float, Gt(0.0)] = 6.0
+    """but not more than this."""
+    turn_rad: Annotated[float, Gt(0.0)] = 0.15
+    """So much it may be turned,"""
+    drift_radpm: Annotated[float, Ge(0.0)] = 0.1
+    """and this much more for each metre that it may be off."""
+    margin: Annotated[float, Ge(0.0), Le(1.0)] = 0.2
+    """Least lead over any other place within reach."""
+    known: Annotated[float, Ge(0.0), Le(1.0)] = 0.7
+    """Least share of the scan that lies where the submap knows anything."""
+    weak_m: Annotated[float, Gt(0.0)] = 0.1
+    """A place that is known no better than this (one standard deviation) along its worst direction
+    is a corridor, and closes nothing."""
+    agree_m: Annotated[float, Gt(0.0)] = 0.3
+    """Two closures say the same when they differ by no more than this"""
+    agree_rad: Annotated[float, Gt(0.0)] = 0.06
+    """and this;"""
+    apart_m: tuple[float, float] = (0.4, 8.0)
+    """the scans were taken between so much way apart."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SlamParams:
     """The strategies of :mod:`amr_slam.slam` and the methods below them."""
 
@@ -104,7 +139,7 @@ class SlamParams:
     plausibility: Plausibility = field(default_factory=Plausibility)
     """and what it shows in all."""
     rescue: Acceptance = field(
-        default_factory=lambda: Acceptance(inliers=0.75, conflict=0.2, known=0.6, margin=0.1)
+        default_factory=lambda: Acceptance(inliers=0.75, conflict=0.2, known=0.6, margin=0.2)
     )
     """What a pose found by the absolute strategy around the expected one must show."""
     rescue_m: Annotated[float, Gt(0.0)] = 2.6
@@ -113,6 +148,8 @@ class SlamParams:
     """While mapping, a scan joins the map after this much travel"""
     insert_rad: Annotated[float, Ge(0.0)] = 0.1
     """... or this much turn since the last one: a standing robot adds nothing but noise."""
+    closing: ClosingParams = field(default_factory=ClosingParams)
+    """Loops of a growing map."""
 
     @property
     def window_min(self) -> Array:

@@ -59,6 +59,7 @@ def replay(
     odometry: list[Pose2] = []
     claims: list[float] = []
     fixes: list[tuple[int, Pose2]] = []
+    anchors: list[tuple[int, Pose2]] = []
     results: list[SlamResult] = []
     refused = 0
     for sample in samples:
@@ -80,8 +81,13 @@ def replay(
             corrected = localizer.filter.pose_at(result.stamp_ns) if localizer.filter else None
             if result.fix is not None and taken is not Outcome.GATED and corrected is not None:
                 fixes.append((result.stamp_ns, corrected[0]))
+                anchors.append(engine.anchored(corrected[0]))
         if on_progress is not None:
             on_progress(sample.stamp_ns)
+    fixes = [
+        (stamp_ns, engine.unanchored(*anchor))
+        for (stamp_ns, _), anchor in zip(fixes, anchors, strict=True)
+    ]
     online = Trajectory(
         stamps_ns=np.array(stamps, dtype=np.int64), poses=np.array(poses).reshape(-1, 3)
     )

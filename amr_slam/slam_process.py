@@ -11,6 +11,7 @@ import contextlib
 import copy
 import os
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -216,7 +217,7 @@ class _Server:
     def _adopt(self, job: SlamJob, grown: PointMap, map_id: str | None) -> None:
         self._job, self._map_id = job, map_id
         self._engine = SlamEngine(job.params, grown, job.mode)
-        self.keeper = _Keeper(job, grown)
+        self.keeper = _Keeper(job, grown, self._engine.settle)
 
     def _store(self, task: Store) -> Stored:
         grown = self._engine.map
@@ -226,12 +227,14 @@ class _Server:
             path, map_id = self.keeper.store()
         else:
             _must_be_free(task.target)
+            self._engine.settle()
             path, copied = task.target, copy.copy(grown)
             copied.name = task.name or grown.name
             map_id = str(save_map(copied, path, keep=0))
         return Stored(path=path, map_id=map_id, map_scans=len(grown.path))
 
     def _draw(self, task: Draw) -> Drawn:
+        self._engine.settle()
         image = image_within(self._engine.map, task.resolution_m, _MAX_PIXELS)
         rows, columns = image.pixels.shape
         return Drawn(
@@ -260,9 +263,11 @@ def _must_be_free(path: Path) -> None:
 class _Keeper:
     """Knows when the map is to be saved, and saves it."""
 
-    def __init__(self, job: SlamJob, grown: PointMap) -> None:
+    def __init__(self, job: SlamJob, grown: PointMap, settle: Callable[[], None]) -> None:
+        """``settle`` brings ``grown`` up to date."""
         self._target = job.target
         self._grown = grown
+        self._settle = settle
         self._saved_revision = grown.revision
         self._saved_id: str | None = None
         self._period_s = job.save_period_s
@@ -293,6 +298,7 @@ class _Keeper:
         """The file and the UUID of the map as it is now, written if it was not. Raises MapError."""
         if self._target is None:
             raise MapError("a map that is not being made has its file already")
+        self._settle()
         if self._saved_id is None or self._grown.revision != self._saved_revision:
             self._saved_id = str(save_map(self._grown, self._target, keep=self._keep))
             self._saved_revision = self._grown.revision

@@ -44,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
     first_ns, last_ns = source.samples[0].stamp_ns, source.samples[-1].stamp_ns
     with Progress("replay", first_ns, last_ns) as progress:
         result = replay(source.samples, localizer, engine, progress.at)
+    engine.settle()
     took_s = time.perf_counter() - begun_s
     map_id = _write(arguments, result, grown)
     estimate = localizer.estimate(last_ns)

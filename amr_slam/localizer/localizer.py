@@ -106,6 +106,12 @@ class Localizer:
         self._placing.answered_ns = result.stamp_ns
         if self._fused.filter is None:
             return Outcome.UNKNOWN
+        outcome = self._take_in(result)
+        if result.moved is not None:
+            self._placing.follow_map(result.stamp_ns, result.moved)
+        return outcome
+
+    def _take_in(self, result: SlamResult) -> Outcome:
         self._hear_of_mounting(result)
         if self._suspicions.withholds(result.inspection):
             return Outcome.MISMOUNTED

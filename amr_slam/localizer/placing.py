@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from amr_slam.agreement import AGREE_D2, agreement_d2, moved
 from amr_slam.engine import Mode, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
@@ -64,6 +66,18 @@ class Placing:
         elif outcome is not Outcome.UNKNOWN or not self._fits_where_expected(result):
             self.refusals += 1
         return outcome
+
+    def follow_map(self, stamp_ns: int, moved: Pose2) -> None:
+        """A loop has moved the map under the robot: the pose goes with it, as a new epoch."""
+        there = self._fused.running.pose_at(stamp_ns)
+        if there is None:
+            return
+        turn = np.eye(3)
+        turn[:2, :2] = moved.rotation
+        self._fused.reset(stamp_ns, moved @ there[0], turn @ there[1] @ turn.T)
+        self._left = None
+        self._agreeing.clear()
+        self.hypotheses.clear()
 
     def seek_anew(self) -> None:
         """What the pose was built on was wrong."""

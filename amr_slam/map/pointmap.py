@@ -131,15 +131,25 @@ class PointMap:
         self.revision += 1
 
     def rebuilt(self, poses: Sequence[Pose2]) -> PointMap:
-        """A map of the scans that are not forgotten, each at its new pose: one for each scan of
-        ``path``, in its order."""
+        """A map of the same scans, each at its new pose: one for each scan of ``path``, in its
+        order. What only a forgotten scan saw is not in it."""
         fresh = PointMap(self.params, self.name)
         fresh.reframings = self.reframings
         scans = zip(self.path, self.noises_m, self.rays, poses, strict=True)
         for (stamp_ns, _), sigma_m, rays, pose in scans:
             if len(rays):
                 fresh.insert(rays.cloud(stamp_ns, sigma_m), pose)
+            else:
+                fresh.path.append((stamp_ns, pose))
+                fresh.noises_m.append(sigma_m)
+                fresh.rays.append(rays)
         return fresh
+
+    def move(self, poses: Sequence[Pose2]) -> None:
+        """Become the map that :meth:`rebuilt` gives: whoever holds this one sees its scans move."""
+        fresh = self.rebuilt(poses)
+        fresh.revision = self.revision + 1
+        vars(self).update(vars(fresh))
 
     def _coarsen(self) -> None:
         """Keep the walls of noisy scans in half the digits, and in cells of twice the side where

@@ -67,7 +67,8 @@ class Survey:
     """In the frame of the start pose."""
     results: tuple[SlamResult, ...]
     path: Trajectory
-    """map_from_base at each scan as the fusion had it once the scan was registered."""
+    """map_from_base at each scan as the fusion had it once the scan was registered, moved along
+    with the map by the loops that were closed later."""
     map_from_start: Pose2
     """How the map's frame lies to that of the true start pose, by all of the path."""
     ate_m: float
@@ -121,7 +122,7 @@ def survey(driven: Drive, params: SlamParams) -> Survey:
     )
     engine = SlamEngine(params, PointMap(params.map), "mapping")
     results: list[SlamResult] = []
-    path: list[tuple[int, Array]] = []
+    path: list[tuple[int, tuple[int, Pose2]]] = []
     online: list[tuple[int, Array]] = []
     for sample in driven.samples:
         localizer.handle(sample)
@@ -136,8 +137,9 @@ def survey(driven: Drive, params: SlamParams) -> Survey:
         stamp_ns = results[-1].stamp_ns
         fused = localizer.filter.pose_at(stamp_ns) if localizer.filter else None
         if fused is not None:
-            path.append((stamp_ns, fused[0].as_array()))
-    seen = _trajectory(path)
+            path.append((stamp_ns, engine.anchored(fused[0])))
+    engine.settle()
+    seen = _trajectory([(stamp, engine.unanchored(*pose).as_array()) for stamp, pose in path])
     true, valid = poses_at(driven.truth, seen.stamps_ns)
     return Survey(
         known=engine.map,

@@ -1,0 +1,158 @@
+"""The pose graph: where the scans were taken, given what is known of pairs of them.
+
+Least squares over the poses of all scans at once (Grisetti et al., IEEE ITS Magazine 2(4), 2010),
+solved sparsely by Levenberg and Marquardt's method. A loop edge may be false: its weight falls with
+its error (Geman and McClure), so that one false edge cannot bend what many others hold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.linalg import spsolve
+
+from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
+
+_ITERATIONS: Final = 20
+_SMALL: Final = 1e-6
+"""A step below this (m, rad) ends the iteration."""
+_KERNELS_D2: Final = (16.27 * 4.0**5, 16.27 * 4.0**3, 16.27 * 4.0, 16.27)
+"""Squared Mahalanobis distance at which a loop edge has a quarter of its weight, one solution after
+the other: a true loop after a long way must pull before it can be told from a false one. In the end
+it is what chance exceeds once in a thousand times."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Edge:
+    """What is known of one scan's pose in the base frame of another one."""
+
+    start: int
+    """Row of the earlier scan."""
+    end: int
+    delta: Pose2
+    """``start_from_end``."""
+    information: Array
+    """(3, 3) of delta's (x, y, theta), in the start's frame."""
+    loop: bool = False
+    """True: found by comparing places, and so perhaps wrong."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "information", readonly(self.information))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Solution:
+    """Poses that agree best with all edges."""
+
+    poses: Array
+    """(n, 3) map_from_base; the first one stays where it was."""
+    d2: Array
+    """(m,) squared Mahalanobis distance left at each edge."""
+
+
+def optimize(poses: Array, edges: Sequence[Edge]) -> Solution:
+    """Improve ``poses`` (n, 3), each of which edges must tie to the first one. Deterministic."""
+    stack = _Stack(edges, len(poses))
+    found = np.array(poses, dtype=np.float64)
+    for kernel_d2 in _KERNELS_D2:
+        stack.kernel_d2 = kernel_d2
+        found = _descend(stack, found)
+    return Solution(poses=found, d2=stack.d2(found))
+
+
+def _descend(stack: _Stack, found: Array) -> Array:
+    damping, cost = 1e-6, stack.cost(found)
+    for _ in range(_ITERATIONS):
+        normal, gradient = stack.normal_equations(found)
+        damped = csc_array(normal + diags_array(damping * normal.diagonal()))
+        step = spsolve(damped, -gradient).reshape(-1, 3)
+        tried = found.copy()
+        tried[1:] += step
+        tried[:, 2] = wrap_angle(tried[:, 2])
+        tried_cost = stack.cost(tried)
+        if tried_cost > cost:
+            damping *= 10.0
+            continue
+        found, cost, damping = tried, tried_cost, max(0.1 * damping, 1e-9)
+        if np.abs(step).max(initial=0.0) < _SMALL:
+            break
+    return found
+
+
+class _Stack:
+    """All edges as arrays."""
+
+    def __init__(self, edges: Sequence[Edge], count: int) -> None:
+        self._count = count
+        self.kernel_d2 = math.inf
+        self._start = np.array([edge.start for edge in edges], dtype=np.intp)
+        self._end = np.array([edge.end for edge in edges], dtype=np.intp)
+        self._delta = np.array([edge.delta.as_array() for edge in edges]).reshape(-1, 3)
+        self._information = np.array([edge.information for edge in edges]).reshape(-1, 3, 3)
+        self._loop = np.array([edge.loop for edge in edges], dtype=np.bool_)
+
+    def residuals(self, poses: Array) -> Array:
+        """(m, 3) what each edge's delta is off by, in the start's frame."""
+        a, b = poses[self._start], poses[self._end]
+        cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+        dx, dy = (b - a)[:, 0], (b - a)[:, 1]
+        off = np.stack([cos * dx + sin * dy, cos * dy - sin * dx, b[:, 2] - a[:, 2]], axis=1)
+        off -= self._delta
+        off[:, 2] = wrap_angle(off[:, 2])
+        return off
+
+    def d2(self, poses: Array) -> Array:
+        off = self.residuals(poses)
+        return np.asarray(np.einsum("mi,mij,mj->m", off, self._information, off))
+
+    def cost(self, poses: Array) -> float:
+        d2 = self.d2(poses)
+        return float(np.sum(np.where(self._loop, d2 * self.kernel_d2 / (self.kernel_d2 + d2), d2)))
+
+    def normal_equations(self, poses: Array) -> tuple[csc_array, Array]:
+        """(3(n-1), 3(n-1)) and (3(n-1),): of all poses but the first."""
+        a, b = poses[self._start], poses[self._end]
+        off = self.residuals(poses)
+        d2 = np.einsum("mi,mij,mj->m", off, self._information, off)
+        weight = np.where(self._loop, (self.kernel_d2 / (self.kernel_d2 + d2)) ** 2, 1.0)
+        information = weight[:, None, None] * self._information
+        cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
+        dx, dy = (b - a)[:, 0], (b - a)[:, 1]
+        by_start = np.zeros((len(off), 3, 3))
+        by_end = np.zeros((len(off), 3, 3))
+        by_end[:, 0, 0], by_end[:, 0, 1] = cos, sin
+        by_end[:, 1, 0], by_end[:, 1, 1] = -sin, cos
+        by_end[:, 2, 2] = 1.0
+        by_start[:, :2, :2] = -by_end[:, :2, :2]
+        by_start[:, 0, 2] = cos * dy - sin * dx
+        by_start[:, 1, 2] = -cos * dx - sin * dy
+        by_start[:, 2, 2] = -1.0
+        sides = ((self._start, by_start), (self._end, by_end))
+        size = 3 * self._count
+        gradient = np.zeros(size)
+        rows, columns, values = [], [], []
+        for row, jacobian in sides:
+            part = np.einsum("mki,mkl,ml->mi", jacobian, information, off)
+            np.add.at(gradient, (3 * row[:, None] + np.arange(3)).ravel(), part.ravel())
+            for column, other in sides:
+                block = np.einsum("mki,mkl,mlj->mij", jacobian, information, other)
+                rows.append(_spread(row, 1))
+                columns.append(_spread(column, 0))
+                values.append(block.ravel())
+        normal = csc_array(
+            (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+            shape=(size, size),
+        )
+        return normal[3:, 3:], gradient[3:]
+
+
+def _spread(nodes: NDArray[np.intp], axis: int) -> NDArray[np.intp]:
+    """(9 m,) rows (axis 1) or columns (axis 0) of the 3 x 3 blocks of these nodes."""
+    within = np.repeat(np.arange(3), 3) if axis == 1 else np.tile(np.arange(3), 3)
+    return np.asarray((3 * nodes[:, None] + within).ravel())

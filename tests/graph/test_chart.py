@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from labs import cloud_at, lab, tour_poses
+
+from amr_slam.evaluation import align_se2
+from amr_slam.geometry import Array, Pose2
+from amr_slam.graph.chart import Chart
+from amr_slam.graph.posegraph import Edge
+from amr_slam.params import SlamParams
+from amr_slam.simulation import World, plan_tour
+from amr_slam.simulation.buildings import alike_rooms
+
+PARAMS = SlamParams()
+# A step's own uncertainty as the registration claims it; the drift below is a bias beside it.
+STEP = np.diag([0.02**2, 0.02**2, 0.01**2])
+DRIFT = Pose2(0.004, 0.0, math.radians(0.25))
+"""Of each step of 0.6 m: 40 degrees in 100 m, far worse than scans registered in a submap."""
+SLIGHT = Pose2(0.002, 0.0, math.radians(0.05))
+
+
+def charted(world: World, truth: Sequence[Pose2], drift: Pose2) -> tuple[Chart, list[int]]:
+    """The chart of a drive whose every step is off by ``drift``; and at which nodes it moved."""
+    chart, rng, moved = Chart(PARAMS), np.random.default_rng(5), []
+    for row, pose in enumerate(truth):
+        cloud = cloud_at(world, pose, rng, sigma_m=0.01, stamp_ns=row)
+        believed = truth[0]
+        if row:
+            believed = chart.newest @ (truth[row - 1].inverse() @ pose) @ drift
+        if chart.insert(cloud, believed, STEP) is not None:
+            moved.append(row)
+    return chart, moved
+
+
+def ate_m(poses: Array, truth: Sequence[Pose2]) -> float:
+    true = np.array([pose.as_array() for pose in truth])
+    off = (align_se2(poses, true) @ poses[:, :2]) - true[:, :2]
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def false_loops(edges: Sequence[Edge], truth: Sequence[Pose2]) -> list[Edge]:
+    false = []
+    for edge in edges:
+        off = (truth[edge.start].inverse() @ truth[edge.end]).inverse() @ edge.delta
+        if edge.loop and (math.hypot(off.x_m, off.y_m) > 0.3 or abs(off.theta_rad) > 0.1):
+            false.append(edge)
+    return false
+
+
+def test_the_second_round_takes_the_drift_of_the_first_away() -> None:
+    truth = [*tour_poses(0), *tour_poses(0)[:40]]
+    chart, moved = charted(lab(0), truth, DRIFT)
+    alone = [truth[0]]
+    for before, after in zip(truth, truth[1:], strict=False):
+        alone.append(alone[-1] @ (before.inverse() @ after) @ DRIFT)
+    drifted = ate_m(np.array([pose.as_array() for pose in alone]), truth)
+    assert chart.loops > 4
+    assert false_loops(chart.edges, truth) == []
+    assert ate_m(chart.poses, truth) < 0.25 * drifted
+    assert moved
+    # What grows has moved along: the next scan is registered where the pose now is.
+    expected = chart.local.path[-1][1]
+    assert expected.distance_to(chart.newest) < 1e-6
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_rooms_that_look_alike_are_not_taken_for_one_another(seed: int) -> None:
+    world = alike_rooms(seed, 400.0)
+    path = plan_tour(world).path_m
+    ahead = np.roll(path, -4, axis=0) - path
+    truth = [
+        Pose2(path[i, 0], path[i, 1], math.atan2(ahead[i, 1], ahead[i, 0]))
+        for i in range(0, len(path), 20)
+    ]
+    chart, _ = charted(world, truth, SLIGHT)
+    assert false_loops(chart.edges, truth) == []
+
+
+def test_one_witness_closes_nothing() -> None:
+    truth = [*tour_poses(0), *tour_poses(0)[:40]]
+    never = replace(PARAMS.closing, apart_m=(100.0, 200.0))
+    chart = Chart(replace(PARAMS, closing=never))
+    rng = np.random.default_rng(5)
+    for row, pose in enumerate(truth):
+        moved = chart.insert(cloud_at(lab(0), pose, rng, sigma_m=0.01, stamp_ns=row), pose, STEP)
+        assert moved is None
+    assert chart.loops == 0
