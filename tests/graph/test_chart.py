@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -56,7 +57,7 @@ def test_the_second_round_takes_the_drift_of_the_first_away() -> None:
     truth = [*tour_poses(0), *tour_poses(0)[:40]]
     chart, moved = charted(lab(0), truth, DRIFT)
     alone = [truth[0]]
-    for before, after in zip(truth, truth[1:], strict=False):
+    for before, after in itertools.pairwise(truth):
         alone.append(alone[-1] @ (before.inverse() @ after) @ DRIFT)
     drifted = ate_m(np.array([pose.as_array() for pose in alone]), truth)
     assert chart.loops > 4
