@@ -76,6 +76,8 @@ class SlamResult:
     """What the scan says of the scanners' mounting. Where it looks wrong there is no fix."""
     sought: bool = False
     """The answer is that of a search in the request's region."""
+    joined_at: Pose2 | None = None
+    """``inserted``: the pose at which the scan joined the map."""
 
 
 class SlamEngine:
@@ -266,6 +268,7 @@ class SlamEngine:
             climbed=climbed,
             fix=fix,
             inserted=inserted,
+            joined_at=self._last_inserted if inserted else None,
             map_scans=len(self.map.path),
             map_points=len(self.map),
         )

@@ -144,6 +144,7 @@ class Localizer:
         :meth:`objection`.
         """
         assert self._filter is not None
+        self._end_seek("another pose has been named meanwhile")
         self._seek = Seek(self._filter.stamp_ns, region)
         return self._seek
 
@@ -161,6 +162,10 @@ class Localizer:
         assert self._filter is not None
         self._end_seek("another command has made the robot forget its pose")
         self._begin(None, self._filter.map_from_base, _ANYWHERE, located=False)
+
+    def go_on_mapping(self) -> None:
+        """The map in which the robot was localized grows from now on; its pose goes on."""
+        self._mode = "mapping"
 
     def restart(self, mode: Mode) -> None:
         """Poses refer to another map from now on: a new epoch. ``odom`` goes on."""

@@ -16,8 +16,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
+from amr_slam.clouds import Cloud
 from amr_slam.engine import Mode, SlamEngine, SlamRequest, SlamResult
-from amr_slam.map import MapError, PointMap, load_map, save_map
+from amr_slam.geometry import Pose2
+from amr_slam.map import LoadedMap, MapError, PointMap, load_newest, save_map
 from amr_slam.map.export import image_within, png_bytes
 from amr_slam.params import SlamParams
 from amr_slam.warming import warm_up
@@ -27,6 +29,14 @@ _NICENESS = 5
 _OLD_VERSIONS = 2
 _MAX_PIXELS: Final = 4_000_000
 """Of a picture: a few hundred kilobytes as PNG, half a second to make."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Joined:
+    """A scan that became part of a map."""
+
+    cloud: Cloud
+    map_from_base: Pose2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +65,10 @@ class Ready:
     """UUID of the file's content; None for a map that begins empty."""
     map_name: str
     map_scans: int
+    path: Path | None = None
+    """The file that was loaded."""
+    complaint: str | None = None
+    """Why that is an older version of the file that was asked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +86,14 @@ class Saved:
     error: str | None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unsaved:
+    """What had joined the map since it was saved last, in a process that was lost: before the
+    first request, and not answered."""
+
+    scans: tuple[Joined, ...]
+
+
 class Stop:
     """Asks the process to save and to end."""
 
@@ -82,6 +104,13 @@ class Stop:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Switch:
     """Save what was mapped, and go on with another job. Answered by Switched."""
+
+    job: SlamJob
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grow:
+    """Let the map that is loaded grow on, by another job. Answered by Switched."""
 
     job: SlamJob
 
@@ -142,7 +171,7 @@ class Declined:
     reason: str
 
 
-Task = Switch | Store | Draw
+Task = Switch | Grow | Store | Draw
 TaskAnswer = Switched | Stored | Drawn | Declined
 
 
@@ -166,6 +195,9 @@ def serve(pipe: Connection, job: SlamJob) -> None:
                 request = pipe.recv()
                 if isinstance(request, Stop):
                     break
+                if isinstance(request, Unsaved):
+                    server.join(request)
+                    continue
                 pipe.send(server.answer(request))
             if server.keeper.due_s() == 0.0:
                 pipe.send(server.keeper.save())
@@ -183,11 +215,17 @@ class _Server:
 
     def __init__(self, job: SlamJob) -> None:
         """Raises MapError."""
-        self._adopt(job, *_open_map(job))
+        self._adopt(job, _load(job))
 
     def ready(self) -> Ready:
-        grown = self._engine.map
-        return Ready(map_id=self._map_id, map_name=grown.name, map_scans=len(grown.path))
+        grown, loaded = self._engine.map, self._loaded
+        return Ready(
+            map_id=None if loaded is None else str(loaded.map_id),
+            map_name=grown.name,
+            map_scans=len(grown.path),
+            path=None if loaded is None else loaded.path,
+            complaint=None if loaded is None else loaded.complaint,
+        )
 
     def answer(self, request: SlamRequest | Task) -> SlamResult | TaskAnswer:
         try:
@@ -196,6 +234,8 @@ class _Server:
                     return self._engine.update(request)
                 case Switch():
                     return self._switch(request.job)
+                case Grow():
+                    return self._grow(request.job)
                 case Store():
                     return self._store(request)
                 case Draw():
@@ -203,18 +243,28 @@ class _Server:
         except MapError as error:
             return Declined(reason=str(error))
 
+    def join(self, unsaved: Unsaved) -> None:
+        for one in unsaved.scans:
+            self._engine.map.insert(one.cloud, one.map_from_base)
+
     def _switch(self, job: SlamJob) -> Switched:
         if job.target is not None:
             _must_be_free(job.target)
-        grown, map_id = _open_map(job)
+        loaded = _load(job)
         saved = self.keeper.save_if_changed()
         if saved is not None and saved.error is not None:
             raise MapError(saved.error)
-        self._adopt(job, grown, map_id)
+        self._adopt(job, loaded)
         return Switched(job=job, ready=self.ready())
 
-    def _adopt(self, job: SlamJob, grown: PointMap, map_id: str | None) -> None:
-        self._job, self._map_id = job, map_id
+    def _grow(self, job: SlamJob) -> Switched:
+        self._job, self._engine.mode = job, job.mode
+        self.keeper = _Keeper(job, self._engine.map)
+        return Switched(job=job, ready=self.ready())
+
+    def _adopt(self, job: SlamJob, loaded: LoadedMap | None) -> None:
+        grown = PointMap(job.params.map, job.name) if loaded is None else loaded.map
+        self._job, self._loaded = job, loaded
         self._engine = SlamEngine(job.params, grown, job.mode)
         self.keeper = _Keeper(job, grown)
 
@@ -245,11 +295,9 @@ class _Server:
         )
 
 
-def _open_map(job: SlamJob) -> tuple[PointMap, str | None]:
-    if job.source is None:
-        return PointMap(job.params.map, job.name), None
-    grown, map_id = load_map(job.source)
-    return grown, str(map_id)
+def _load(job: SlamJob) -> LoadedMap | None:
+    """None: the job's map begins empty. Raises MapError."""
+    return None if job.source is None else load_newest(job.source)
 
 
 def _must_be_free(path: Path) -> None:

@@ -2,5 +2,14 @@
 
 from amr_slam.map.file import MapError, load_map, save_map
 from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.versions import LoadedMap, load_newest
 
-__all__ = ["MapError", "MapParams", "PointMap", "load_map", "save_map"]
+__all__ = [
+    "LoadedMap",
+    "MapError",
+    "MapParams",
+    "PointMap",
+    "load_map",
+    "load_newest",
+    "save_map",
+]

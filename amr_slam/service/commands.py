@@ -178,10 +178,10 @@ class Commands:
         job, active = self._worker.job, self._worker.active_map
         if job.mode == "mapping":
             self._tasks.add(asked, Store(target=None), lambda answer: _written(asked, answer))
-        elif active is None or job.source is None:
+        elif active is None or active.path is None:
             asked.not_done("there is no map yet")
         else:
-            asked.done(MapFile(path=job.source, map_id=active.map_id))
+            asked.done(MapFile(path=active.path, map_id=active.map_id))
 
     def _drawn(self, asked: Asked, answer: TaskAnswer) -> None:
         assert isinstance(answer, Drawn)

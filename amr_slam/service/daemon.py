@@ -28,9 +28,12 @@ from amr_slam.service.commands import Commands
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 from amr_slam.service.pipe import FromWorker
 from amr_slam.service.recorder import Recorder
+from amr_slam.service.remembering import Recollection, Remembering
 from amr_slam.service.reporting import Reporter
+from amr_slam.service.resuming import Resuming, localizing_first
 from amr_slam.service.systemd import Notifier
 from amr_slam.service.tasks import Tasks
+from amr_slam.service.upkeep import Upkeep
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
 from amr_slam.slam_process import SlamJob
@@ -68,8 +71,13 @@ def startup(
     opened.callback(signals.restore)
     recorder = Recorder(config, config_path, record)
     opened.callback(recorder.close)
+    memory = config.map.directory / f"{config.robot.name}.lastpose"
+    recollection = Recollection(memory)
+    job, cut_off = _job(config), None
+    if job.target is not None and recollection.cut_off == job.name and job.target.exists():
+        job, cut_off = localizing_first(job), job
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
-    worker = SlamWorker(_job(config), inbox.put, config.service.answer_limit_s)
+    worker = SlamWorker(job, inbox.put, config.service.answer_limit_s)
     opened.callback(_stop_worker, worker, inbox)
     publisher = opened.enter_context(RobotPublisher(config.zenoh, config.robot.name))
     reconnect_max_s = config.service.reconnect_max_s
@@ -81,7 +89,16 @@ def startup(
     for device in devices:
         device.start()
     reporter = Reporter(config, publisher, worker, wheels, scanners, recorder)
-    daemon = Daemon(config, config_path, inbox, worker, reporter, recorder, signals)
+    remembering = Remembering(memory)
+    opened.callback(remembering.close)
+    upkeep = Upkeep(
+        recollection=recollection,
+        remembering=remembering,
+        resuming=Resuming(worker, cut_off),
+    )
+    daemon = Daemon(
+        config, config_path, inbox, worker, reporter, recorder, upkeep=upkeep, signals=signals
+    )
     publisher.serve(inbox.put)
     return daemon
 
@@ -111,6 +128,8 @@ class Daemon:
         worker: SlamWorker,
         reporter: Reporter,
         recorder: Recorder,
+        *,
+        upkeep: Upkeep,
         signals: _Signals,
     ) -> None:
         self.notifier = Notifier()
@@ -121,6 +140,7 @@ class Daemon:
         self._worker = worker
         self._reporter = reporter
         self._recorder = recorder
+        self._upkeep = upkeep
         self._is_ready = False
         self._localizer = Localizer(
             config.localizer,
@@ -128,7 +148,7 @@ class Daemon:
             config.slam.clouds,
             config.drive,
             {scanner.name: scanner.mounting.mounting for scanner in config.scanners},
-            config.map.mode,
+            worker.mode,
         )
         self._tasks = Tasks(worker)
         self._commands = Commands(config, self._localizer, worker, self._tasks, recorder)
@@ -151,7 +171,10 @@ class Daemon:
         self._worker.supervise(now_ns)
         wheels_came = any(isinstance(s, DriveSample) for s in samples)
         if self._schedule.takes(now_ns, wheels_came=wheels_came):
-            self._reporter.publish_pose(self._localizer.estimate(now_ns))
+            estimate = self._localizer.estimate(now_ns)
+            self._reporter.publish_pose(estimate)
+            self._upkeep.turn(now_ns, estimate, self._localizer, self._worker)
+        self._reporter.note_troubles(self._upkeep.troubles())
         self._reporter.note_wheels(self._localizer.calibration, self._localizer.wheel_events)
         summary = self._reporter.report(now_ns, self._localizer.outcomes)
         self._notify(now_ns, summary)
@@ -179,12 +202,12 @@ class Daemon:
             elif isinstance(answer := self._worker.hear(item), SlamResult):
                 samples.append(answer)
             elif answer is not None:
-                self._tasks.heard(answer)
+                if not self._upkeep.resuming.heard(answer, self._localizer):
+                    self._tasks.heard(answer)
             elif item.message is None:
                 self._localizer.drop_request()
                 self._tasks.lost()
-        if self._worker.refusal is not None:
-            raise ConfigError(self._worker.refusal, ("map", "path"), self._config_path)
+                self._upkeep.resuming.lost()
         return sorted(samples, key=lambda sample: sample.stamp_ns)
 
     def _give_up(self, ended: DeviceEnded) -> None:
@@ -215,7 +238,7 @@ class Daemon:
             self._reporter.publish_scan(request.cloud, at[0])
 
     def _notify(self, now_ns: int, summary: str | None) -> None:
-        if not self._is_ready and self._worker.ready:
+        if not self._is_ready and (self._worker.ready or self._worker.refusal is not None):
             self._is_ready = True
             # What start-up built stays: a full collection over it would hold the poses for 60 ms.
             gc.collect()

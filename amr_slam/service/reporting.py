@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from os import getpid
@@ -75,10 +75,15 @@ class Reporter:
         self._fault: str | None = None
         self._calibration: Calibration | None = None
         self._slips: tuple[WheelEvent, ...] = ()
+        self._troubles: tuple[str, ...] = ()
 
     def note_wheels(self, known: Calibration | None, slips: tuple[WheelEvent, ...]) -> None:
         """What the fusion has to say of the wheels, for the next status."""
         self._calibration, self._slips = known, slips
+
+    def note_troubles(self, troubles: Iterable[str]) -> None:
+        """What the service itself has to say, one line each."""
+        self._troubles = tuple(troubles)
 
     def publish_pose(self, estimate: PoseEstimate | None) -> None:
         """``None``: no wheel sample came yet, so that there is no pose of any worth."""
@@ -126,7 +131,12 @@ class Reporter:
         self._clock.follow(now_ns)
         health = {name: scanner.health(now_ns) for name, scanner in self._scanners.items()}
         wheels, slam = self._wheels.health(now_ns), self._worker.health(now_ns)
-        self._fault = _joined(self._worker.fault, *_complaints(health | {"wheels": wheels}))
+        self._fault = _joined(
+            self._worker.fault,
+            self._worker.warning,
+            *_complaints(health | {"wheels": wheels}),
+            *self._troubles,
+        )
         parts = {**health, "wheels": wheels, "slam": slam}
         active = self._worker.active_map
         what = (
