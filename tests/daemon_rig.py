@@ -90,18 +90,25 @@ def write_config(
     endpoint: str = "tcp/127.0.0.1:7447",
     save_period_s: float = 60.0,
     answer_limit_s: float = 30.0,
+    *,
+    localize: bool = False,
 ) -> Path:
-    """A robot.toml whose devices are those of :class:`Robot` in the same folder."""
-    path = folder / "robot.toml"
-    path.write_text(
-        CONFIG.format(
-            folder=folder,
-            dbc=DBC,
-            endpoint=endpoint,
-            save_period_s=save_period_s,
-            answer_limit_s=answer_limit_s,
-        )
+    """A robot.toml whose devices are those of :class:`Robot` in the same folder.
+
+    ``localize``: in the map that an earlier run has made there.
+    """
+    text = CONFIG.format(
+        folder=folder,
+        dbc=DBC,
+        endpoint=endpoint,
+        save_period_s=save_period_s,
+        answer_limit_s=answer_limit_s,
     )
+    if localize:
+        mode = f'mode = "localization"\npath = "{folder}/hall.amrmap"'
+        text = text.replace('mode = "mapping"', mode)
+    path = folder / "robot.toml"
+    path.write_text(text)
     return path
 
 
@@ -155,6 +162,7 @@ class Supervisor:
         self.path = path
         self.told: list[str] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        path.unlink(missing_ok=True)
         self._socket.bind(str(path))
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
@@ -182,10 +190,18 @@ class Daemon:
         save_period_s: float = 60.0,
         answer_limit_s: float = 30.0,
         record: Path | None = None,
+        *,
+        localize: bool = False,
+        settings: str = "",
     ) -> None:
+        """``settings``: more of the configuration, TOML."""
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.map_path = folder / "hall.amrmap"
-        self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s)
+        self.config = write_config(
+            folder, self.endpoint, save_period_s, answer_limit_s, localize=localize
+        )
+        with self.config.open("a") as stream:
+            stream.write(settings)
         self.supervisor = Supervisor(folder / "notify")
         self._log = folder / "log.txt"
         command = [sys.executable, "-m", "amr_slam", "run", "--config", str(self.config)]
