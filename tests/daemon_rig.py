@@ -128,6 +128,7 @@ class Robot:
             seed=3,
             start_ns=time.monotonic_ns(),
         )
+        self.turn_radps = 0.15
         self.disturb: Callable[[Scan], Scan] = lambda scan: scan
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._live)
@@ -135,7 +136,7 @@ class Robot:
 
     def _live(self) -> None:
         while not self._stop.is_set():
-            for sample in self._robot.advance(0.0, 0.15):
+            for sample in self._robot.advance(0.0, self.turn_radps):
                 if isinstance(sample, Scan):
                     scanner = self.front if sample.scanner == "front" else self.rear
                     scanner.measure(self.disturb(sample).ranges_m)

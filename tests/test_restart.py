@@ -52,6 +52,7 @@ def test_killed_at_any_moment_it_is_found_again_where_it_was_or_where_it_is(tmp_
     moments = random.Random(7)
     with Robot(tmp_path) as robot:
         mapped(tmp_path)
+        robot.turn_radps = 0.0  # nobody drives without poses
         before: PoseMessage | None = None
         for _ in range(3):
             with Daemon(tmp_path, localize=True) as daemon:

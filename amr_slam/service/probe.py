@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +22,7 @@ from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 PROBE_S: Final = 5.0
 """Two scans of the slowest scanner, and time to push the robot."""
 
-_Received = Scan | DriveSample | DeviceEnded
+Received = Scan | DriveSample | DeviceEnded
 
 
 def check(config_path: Path, *, probe: bool) -> int:
@@ -55,9 +55,20 @@ def _summary(config: Config, config_path: Path) -> Iterator[str]:
     yield f"  Zenoh: {config.zenoh.prefix}/{config.robot.name} on {', '.join(config.zenoh.listen)}"
 
 
-def _probe(config: Config) -> int:
-    """The daemon's own device threads, for a few seconds."""
-    received: list[_Received] = []
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Probed:
+    """What was seen of a device."""
+
+    name: str
+    line: str
+    """To print."""
+    is_well: bool
+    link: Link
+
+
+def listen(config: Config) -> tuple[list[Probed], list[Received]]:
+    """Every device, opened by the daemon's own threads for :data:`PROBE_S`, and all that came."""
+    received: list[Received] = []
     # Every scan, not one in a scan period: a few tell what never moves.
     settings = [replace(scanner, poll_period_s=0.0) for scanner in config.scanners]
     scanners = [ScannerThread(s, received.append, PROBE_S) for s in settings]
@@ -69,20 +80,29 @@ def _probe(config: Config) -> int:
         device.start()
     time.sleep(PROBE_S)
     now_ns = time.monotonic_ns()
-    lines = {device: _seen(device, now_ns, list(received)) for device in devices}
+    probed = []
+    for device in devices:
+        line, is_well = _seen(device, now_ns, list(received))
+        link = device.health(now_ns).link
+        probed.append(Probed(name=device.name, line=line, is_well=is_well, link=link))
     for device in devices:
         device.ask_to_stop()
     for device in devices:
         device.join(1.0)
-    _print(line for line, _ in lines.values())
+    return probed, received
+
+
+def _probe(config: Config) -> int:
+    probed, received = listen(config)
+    _print(one.line for one in probed)
     for scanner in config.scanners:
         scans = [r for r in received if isinstance(r, Scan) and r.scanner == scanner.name]
         _print(f"{scanner.name}: {line}" for line in own_body(scans, scanner.mounting.mounting))
-    return 0 if all(well for _, well in lines.values()) else 1
+    return 0 if all(one.is_well for one in probed) else 1
 
 
 def _seen(
-    device: ScannerThread | WheelsThread, now_ns: int, received: Sequence[_Received]
+    device: ScannerThread | WheelsThread, now_ns: int, received: Sequence[Received]
 ) -> tuple[str, bool]:
     """(what to print of a device, whether it is well)."""
     ended = [r for r in received if isinstance(r, DeviceEnded) and r.name == device.name]

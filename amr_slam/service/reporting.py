@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from os import getpid
 from typing import Final
@@ -26,6 +27,7 @@ from amr_slam.reporting import (
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
+from amr_slam.service.incidents import Incidents
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
@@ -76,6 +78,8 @@ class Reporter:
         self._calibration: Calibration | None = None
         self._slips: tuple[WheelEvent, ...] = ()
         self._troubles: tuple[str, ...] = ()
+        save = partial(recorder.save, automatic=True)
+        self._incidents = Incidents(save) if recorder.saves_by_itself else None
 
     def note_wheels(self, known: Calibration | None, slips: tuple[WheelEvent, ...]) -> None:
         """What the fusion has to say of the wheels, for the next status."""
@@ -136,8 +140,12 @@ class Reporter:
             self._worker.warning,
             *_complaints(health | {"wheels": wheels}),
             *self._troubles,
+            self._recorder.trouble,
         )
         parts = {**health, "wheels": wheels, "slam": slam}
+        if self._incidents is not None:
+            connected = {name: part.link for name, part in parts.items() if name != "slam"}
+            self._incidents.look(now_ns, self._state, connected, self._worker.crashes)
         active = self._worker.active_map
         what = (
             self._state,
