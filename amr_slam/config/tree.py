@@ -140,6 +140,16 @@ class ServiceSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MetricsSettings:
+    """Figures for Prometheus under ``http://HOST:PORT/metrics``."""
+
+    port: Annotated[int, Interval(ge=0, le=65535)] = 0
+    """0: none. 9464 is a usual one."""
+    host: str = "127.0.0.1"
+    """Address to listen on: this computer only, unless opened up. There is no password."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSettings:
     """What the daemon keeps of the last minutes, to be saved when something was odd."""
 
@@ -172,6 +182,7 @@ class Config:
     zenoh: ZenohSettings
     service: ServiceSettings
     recording: RecordingSettings
+    metrics: MetricsSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,6 +200,7 @@ class _File:
     zenoh: ZenohSettings = field(default_factory=ZenohSettings)
     service: ServiceSettings = field(default_factory=ServiceSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
+    metrics: MetricsSettings = field(default_factory=MetricsSettings)
 
 
 def load(file: Path) -> Config:
@@ -231,6 +243,7 @@ def parse(table: Mapping[str, Any]) -> Config:
         zenoh=read.zenoh,
         service=read.service,
         recording=read.recording,
+        metrics=read.metrics,
     )
     _cross_check(config)
     return config

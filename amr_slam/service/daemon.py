@@ -26,6 +26,7 @@ from amr_slam.samples import DriveSample, Outcome, Scan
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.commands import Commands
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
+from amr_slam.service.metrics import Metrics, MetricsServer
 from amr_slam.service.pipe import FromWorker
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.remembering import Recollection, Remembering
@@ -88,7 +89,10 @@ def startup(
     opened.callback(_stop_devices, devices)
     for device in devices:
         device.start()
-    reporter = Reporter(config, publisher, worker, wheels, scanners, recorder)
+    metrics = Metrics()
+    if config.metrics.port:
+        opened.callback(MetricsServer(config.metrics, metrics).close)
+    reporter = Reporter(config, publisher, worker, wheels, scanners, recorder, metrics)
     remembering = Remembering(memory)
     opened.callback(remembering.close)
     upkeep = Upkeep(

@@ -62,7 +62,8 @@ class Probed:
     name: str
     line: str
     """To print."""
-    is_well: bool
+    complaint: str | None
+    """Why it is not well."""
     link: Link
 
 
@@ -82,9 +83,9 @@ def listen(config: Config) -> tuple[list[Probed], list[Received]]:
     now_ns = time.monotonic_ns()
     probed = []
     for device in devices:
-        line, is_well = _seen(device, now_ns, list(received))
+        line, complaint = _seen(device, now_ns, list(received))
         link = device.health(now_ns).link
-        probed.append(Probed(name=device.name, line=line, is_well=is_well, link=link))
+        probed.append(Probed(name=device.name, line=line, complaint=complaint, link=link))
     for device in devices:
         device.ask_to_stop()
     for device in devices:
@@ -98,19 +99,21 @@ def _probe(config: Config) -> int:
     for scanner in config.scanners:
         scans = [r for r in received if isinstance(r, Scan) and r.scanner == scanner.name]
         _print(f"{scanner.name}: {line}" for line in own_body(scans, scanner.mounting.mounting))
-    return 0 if all(one.is_well for one in probed) else 1
+    return 0 if all(one.complaint is None for one in probed) else 1
 
 
 def _seen(
     device: ScannerThread | WheelsThread, now_ns: int, received: Sequence[Received]
-) -> tuple[str, bool]:
-    """(what to print of a device, whether it is well)."""
+) -> tuple[str, str | None]:
+    """(what to print of a device, why it is not well)."""
     ended = [r for r in received if isinstance(r, DeviceEnded) and r.name == device.name]
     if ended:
-        return f"{device.name}: FAILED: {ended[0].unusable or 'the driver has failed'}", False
+        complaint = ended[0].unusable or "the driver has failed"
+        return f"{device.name}: FAILED: {complaint}", complaint
     health, info = device.health(now_ns), device.info
+    complaint = health.detail or "nothing received"
     if health.link is Link.LOST or info is None:
-        return f"{device.name}: NOT THERE: {health.detail}", False
+        return f"{device.name}: NOT THERE: {complaint}", complaint
     facts = "".join(f", {name} {value}" for name, value in info.facts)
     line = f"{device.name}: {info.model} on {info.address}{facts}"
     if isinstance(device, ScannerThread):
@@ -119,8 +122,8 @@ def _seen(
         line += _wheels_seen([r for r in received if isinstance(r, DriveSample)])
     line += f"; {health.samples} samples, {health.rate_hz:.1f} Hz, {health.errors} errors"
     if health.link is not Link.OK or health.detail is not None:
-        return f"{line}; NOT WELL: {health.detail or 'nothing received'}", False
-    return line, True
+        return f"{line}; NOT WELL: {complaint}", complaint
+    return line, None
 
 
 def _scans_seen(scans: Sequence[Scan], name: str) -> str:

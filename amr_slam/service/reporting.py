@@ -28,6 +28,7 @@ from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
 from amr_slam.service.incidents import Incidents
+from amr_slam.service.metrics import Metrics
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
@@ -55,7 +56,9 @@ class Reporter:
         wheels: WheelsThread,
         scanners: Sequence[ScannerThread],
         recorder: Recorder,
+        metrics: Metrics,
     ) -> None:
+        self._metrics = metrics
         self._config = config
         self._publisher = publisher
         self._recorder = recorder
@@ -94,7 +97,8 @@ class Reporter:
         if estimate is None:
             return
         if estimate.state is not self._state:
-            _log.info("state: %s, was %s", estimate.state, self._state)
+            fields = {"amr_robot": self._config.robot.name, "amr_state": str(estimate.state)}
+            _log.info("state: %s, was %s", estimate.state, self._state, extra=fields)
         self._epoch = estimate.epoch
         self._state, self._pose_fault = estimate.state, estimate.fault
         self._candidates, self._explained = estimate.candidates, estimate.explained
@@ -109,6 +113,7 @@ class Reporter:
         self._poses += 1
         self._publisher.publish_pose(message)
         self._recorder.published(message)
+        self._metrics.note_pose(message, time.monotonic_ns())
 
     def publish_scan(self, cloud: Cloud, map_from_base: Pose2) -> None:
         """The points of a scan that was registered, unless nobody wants any."""
@@ -164,6 +169,7 @@ class Reporter:
         message = self._message(now_ns, health, wheels, slam, outcomes)
         self._publisher.publish_status(message)
         self._recorder.published(message)
+        self._metrics.note_status(message)
         self._statuses += 1
         links = ", ".join(f"{name} {part.link}" for name, part in parts.items())
         return f"{self._state}: {links}"

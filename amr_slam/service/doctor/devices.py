@@ -41,11 +41,11 @@ def look_at_devices(config: Config, known: PointMap | None) -> Iterator[Finding]
     """Takes :data:`probe.PROBE_S`."""
     devices, received = probe.listen(config)
     for device in devices:
-        line, well = device.line, device.is_well
         do = None
-        if not well:
-            do = advice(line, "the table 'What health says' on the driver's page in docs/drivers")
-        yield Finding(part=device.name, what=line.partition(": ")[2], do=do)
+        if device.complaint is not None:
+            otherwise = "the table 'What health says' on the driver's page in docs/drivers"
+            do = advice(device.complaint, otherwise)
+        yield Finding(part=device.name, what=device.line.partition(": ")[2], do=do)
     lost = [device.name for device in devices if device.link is Link.LOST]
     if known is not None and not lost:
         yield from _tried([one for one in received if isinstance(one, Scan)], config, known)

@@ -33,7 +33,7 @@ _ADVICE: Final[tuple[tuple[str, str], ...]] = (
     (
         r"permission denied|errno 13",
         (
-            "the user that runs this may not open the port: sudo usermod -aG dialout $USER, then log "
+            "this user may not open the port: sudo usermod -aG dialout $USER, then log "
             "in anew (the service has its own group: SupplementaryGroups in its unit)"
         ),
     ),
