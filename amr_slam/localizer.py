@@ -148,6 +148,11 @@ class Localizer:
         self._seek = Seek(self._filter.stamp_ns, region)
         return self._seek
 
+    def abandon(self, seek: Seek, reason: str) -> None:
+        """End a search that has not ended; one that another has replaced has."""
+        if seek is self._seek and not seek.ended:
+            seek.give_up(reason)
+
     def place(self, map_from_base: Pose2, covariance: Array) -> None:
         """The pose is this (covariance (3, 3)): a new epoch. Only without :meth:`objection`.
 

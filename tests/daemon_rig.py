@@ -71,6 +71,7 @@ name = "hall"
 listen = ["{endpoint}"]
 [recording]
 directory = "{folder}/recordings"
+ring_s = {ring_s}
 [service]
 save_period_s = {save_period_s}
 answer_limit_s = {answer_limit_s}
@@ -92,6 +93,7 @@ def write_config(
     answer_limit_s: float = 30.0,
     *,
     localize: bool = False,
+    ring_s: float = 600.0,
 ) -> Path:
     """A robot.toml whose devices are those of :class:`Robot` in the same folder.
 
@@ -103,6 +105,7 @@ def write_config(
         endpoint=endpoint,
         save_period_s=save_period_s,
         answer_limit_s=answer_limit_s,
+        ring_s=ring_s,
     )
     if localize:
         mode = f'mode = "localization"\npath = "{folder}/hall.amrmap"'
@@ -193,13 +196,19 @@ class Daemon:
         record: Path | None = None,
         *,
         localize: bool = False,
+        ring_s: float = 600.0,
         settings: str = "",
     ) -> None:
         """``settings``: more of the configuration, TOML."""
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.map_path = folder / "hall.amrmap"
         self.config = write_config(
-            folder, self.endpoint, save_period_s, answer_limit_s, localize=localize
+            folder,
+            self.endpoint,
+            save_period_s,
+            answer_limit_s,
+            localize=localize,
+            ring_s=ring_s,
         )
         with self.config.open("a") as stream:
             stream.write(settings)

@@ -138,6 +138,12 @@ def _add_replay(commands: Subparsers[_Parser]) -> None:
     )
     _add_log_and_robot(replay)
     add = replay.add_argument
+    add(
+        "--as-recorded",
+        action="store_true",
+        help="do again what the daemon did with a recording of its own, and compare the poses with "
+        "those it published: status 1 unless all are the same, bit for bit",
+    )
     add("--map", metavar="MAP", type=Path, help="localize in this map")
     add(
         "--mapping",

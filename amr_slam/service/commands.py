@@ -98,9 +98,10 @@ class Commands:
             return
         asked, seek, deadline_ns = self._seeking
         if not seek.ended and asked.answer.cancelled():
-            seek.give_up("nobody waits for it any more")
+            self._localizer.abandon(seek, "nobody waits for it any more")
         if not seek.ended and now_ns > deadline_ns:
-            seek.give_up(f"no two scans confirmed it within {1e-9 * _SEEK_LIMIT_NS:g} s")
+            reason = f"no two scans confirmed it within {1e-9 * _SEEK_LIMIT_NS:g} s"
+            self._localizer.abandon(seek, reason)
         if not seek.ended:
             return
         self._seeking = None

@@ -20,8 +20,9 @@ from typing import Final
 
 from amr_slam.config import Config, ConfigError, load
 from amr_slam.engine import SlamRequest, SlamResult
-from amr_slam.localizer import Localizer, Sample
+from amr_slam.localizer import Sample
 from amr_slam.publishing import RobotPublisher
+from amr_slam.rerun import WitnessedLocalizer
 from amr_slam.samples import DriveSample, Outcome, Scan
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.commands import Commands
@@ -44,6 +45,10 @@ _log = logging.getLogger(__name__)
 # Together below the 5 s in which a stop has to be done.
 _SAVE_LIMIT_S: Final = 3.5
 _CLOSE_LIMIT_S: Final = 1.0
+_RING_SHARE: Final = 0.1
+"""Of a ring, that may lie before its first snapshot ..."""
+_RING_S: Final = 600.0
+"""... and of a recording without one."""
 
 _Item = Scan | DriveSample | DeviceEnded | FromWorker | Asked
 _FITTING: Final = frozenset({Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET})
@@ -146,7 +151,7 @@ class Daemon:
         self._recorder = recorder
         self._upkeep = upkeep
         self._is_ready = False
-        self._localizer = Localizer(
+        self._localizer = WitnessedLocalizer(
             config.localizer,
             config.fusion,
             config.slam.clouds,
@@ -154,6 +159,9 @@ class Daemon:
             {scanner.name: scanner.mounting.mounting for scanner in config.scanners},
             worker.mode,
         )
+        if recorder.records:
+            period_s = _RING_SHARE * (config.recording.ring_s or _RING_S)
+            self._localizer.witness(recorder.decided, config.drive, period_s)
         self._tasks = Tasks(worker)
         self._commands = Commands(config, self._localizer, worker, self._tasks, recorder)
         self._handed_out: SlamRequest | None = None

@@ -25,8 +25,9 @@ from amr_slam.config import Config
 from amr_slam.durable import sync_folder
 from amr_slam.recording import About, RecordedDevice, RecordingWriter
 from amr_slam.recording import Sample as Decoded
-from amr_slam.recording.messages import Entry, encode, encode_published
+from amr_slam.recording.messages import Entry, encode, encode_decision, encode_published
 from amr_slam.recording.ring import Kept, Ring
+from amr_slam.rerun import Decision
 from amr_slam.samples import WHEELS, Raw, RawBytes, Way, untapped
 from amr_slam.service.shelf import Shelf
 from amr_slam.wire import PoseMessage, StatusMessage
@@ -42,7 +43,7 @@ _MAX_FILE_BYTES: Final = 8 << 20
 _CLOSE_LIMIT_S: Final = 0.4  # what the other parts leave of the 5 s of a stop
 
 _Published = PoseMessage | StatusMessage
-_Item = Raw | Decoded | tuple[int, _Published]
+_Item = Raw | Decoded | Decision | tuple[int, _Published]
 
 
 class Recorder:
@@ -78,6 +79,11 @@ class Recorder:
             self._thread.start()
 
     @property
+    def records(self) -> bool:
+        """Whether anything is kept of what it is given."""
+        return self._thread.is_alive()
+
+    @property
     def tap(self) -> Callable[[Raw], object]:
         """For the drivers."""
         return self._put if self._thread.is_alive() else untapped
@@ -91,6 +97,11 @@ class Recorder:
         """A message that leaves the robot."""
         if self._thread.is_alive():
             self._put((time.monotonic_ns(), message))
+
+    def decided(self, decision: Decision) -> None:
+        """What the loop does with the localizer."""
+        if self._thread.is_alive():
+            self._put(decision)
 
     def save(self, reason: str, *, automatic: bool = False) -> Path | None:
         """Have the ring saved; where it will be. None: there is none, or the last saving goes on.
@@ -278,6 +289,8 @@ def _entry(item: _Item) -> Entry:
     if isinstance(item, tuple):
         stamp_ns, message = item
         return encode_published(message.kind, stamp_ns, message.encode())
+    if isinstance(item, Decision):
+        return encode_decision(item.stamp_ns, item.do, item.arguments)
     return encode(item)
 
 

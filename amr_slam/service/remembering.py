@@ -172,7 +172,7 @@ class Recollection:
                 self._begin(now_ns, localizer, active, self.hint)
             return
         if not self._seek.ended and now_ns > self._deadline_ns:
-            self._seek.give_up("no two scans came in time")
+            localizer.abandon(self._seek, "no two scans came in time")
         if self._seek.ended:
             self.hint = None
             if self._seek.pose is not None:
