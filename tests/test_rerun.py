@@ -81,7 +81,7 @@ def test_from_any_snapshot_on_the_same_poses_follow() -> None:
     snapshots = [
         at for at, one in enumerate(told) if isinstance(one, Decision) and one.do == SNAPSHOT
     ]
-    for begin in snapshots[1 :: len(snapshots) // 6]:
+    for begin in snapshots[1 : -100 : len(snapshots) // 6]:
         again: Localizer = fresh(Localizer, {})
         # By way of a file.
         state = json.loads(json.dumps(told[begin].arguments[0], allow_nan=False))  # type: ignore[union-attr]

@@ -58,10 +58,10 @@ class _Apart:
             return {"known": self._known[type(value)]}
         if isinstance(value, enum.Enum):
             return {"enum": _name_of(type(value)), "value": value.value}
+        if isinstance(value, np.generic):  # float64 is a float, too, and not the same
+            return {"scalar": value.dtype.str, "value": self.of(value.item())}
         if isinstance(value, float):
-            return float(value) if math.isfinite(value) else {"float": str(float(value))}
-        if isinstance(value, np.generic):
-            return {"scalar": value.dtype.str, "value": value.item()}
+            return value if math.isfinite(value) else {"float": str(value)}
         if isinstance(value, np.ndarray):
             return _array_apart(value)
         if type(value) in {tuple, set, frozenset}:
@@ -110,7 +110,7 @@ class _Together:
             case "float":
                 return float(content)
             case "scalar":
-                return np.dtype(content).type(plain["value"])
+                return np.dtype(content).type(self.of(plain["value"]))
             case "array":
                 return _array_together(plain)
             case "tuple" | "set" | "frozenset":
