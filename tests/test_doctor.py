@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import socket
-import stat
 from collections.abc import Callable
 from pathlib import Path
 
@@ -94,22 +92,6 @@ def test_what_the_scanners_and_ports_lack_is_told_with_what_to_do(
     what, do = told.wrong("rear")
     assert "no such file" in what.lower()
     assert "/dev/serial/by-id/" in do
-
-
-def test_a_port_that_nobody_may_open_names_the_group(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "port").touch()
-    denied = str(tmp_path / "port")
-    real = os.access
-    monkeypatch.setattr(os, "access", lambda path, mode: path != denied and real(path, mode))
-
-    class Settings:
-        port = denied
-
-    (finding,) = computer._port("front", Settings())
-    assert "dialout" in (finding.do or "")
-    assert stat.S_ISREG(Path(denied).stat().st_mode)
 
 
 def test_a_configuration_that_is_wrong_is_the_first_thing_told(

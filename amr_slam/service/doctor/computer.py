@@ -24,10 +24,6 @@ def look_at_computer(config: Config, config_path: Path) -> Iterator[Finding]:
     """All that can be seen without opening a device."""
     yield from _clock()
     yield from _disks({config.map.directory, config.recording.directory})
-    options = [("wheels", config.odometry.options)]
-    options += [(scanner.name, scanner.options) for scanner in config.scanners]
-    for name, settings in options:
-        yield from _port(name, settings)
     yield from _can(config.odometry.options)
     yield from _unit(config_path.stem)
 
@@ -68,20 +64,6 @@ def _disks(folders: set[Path]) -> Iterator[Finding]:
             )
         else:
             yield Finding(part="disk", what=f"{folder}: {free}")
-
-
-def _port(name: str, settings: Any) -> Iterator[Finding]:
-    """What the kernel says of a serial port before anybody opens it."""
-    port = getattr(settings, "port", None) or getattr(settings, "channel", None)
-    if not isinstance(port, str) or not port.startswith("/"):
-        return
-    if not os.path.exists(port):
-        reason = f"{port}: no such file or directory"
-    elif not os.access(port, os.R_OK | os.W_OK):
-        reason = f"{port}: permission denied"
-    else:
-        return
-    yield Finding(part=name, what=reason, do=advice(reason, "see the driver's page in docs"))
 
 
 def _can(settings: Any) -> Iterator[Finding]:
