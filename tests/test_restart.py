@@ -119,3 +119,23 @@ def test_mapping_that_was_cut_off_goes_on_in_the_same_map(tmp_path: Path) -> Non
         assert len(load_map(daemon.map_path)[0].path) > scans
         # It is one map, not a new one beside the old.
         assert not daemon.map_path.with_name("hall.amrmap.1").exists()
+
+
+def test_a_map_that_cannot_be_saved_is_told_and_nothing_else_suffers(tmp_path: Path) -> None:
+    in_the_way = tmp_path / "hall.amrmap"
+    in_the_way.mkdir()
+    with Robot(tmp_path), Daemon(tmp_path, save_period_s=5.0) as daemon:
+        daemon.listen()
+        status = daemon.status_when(
+            lambda s: "cannot write the map" in (s.fault or "") and s.state is State.MAPPING,
+            "the fault",
+        )
+        assert status.slam.link == "OK"
+        assert "cannot write the map" in (status.slam.detail or "")
+        poses = daemon.next_poses(50)
+        assert all("cannot write the map" in (pose.fault or "") for pose in poses[10:])
+        assert {b.seq - a.seq for a, b in itertools.pairwise(poses)} == {1}
+        in_the_way.rmdir()
+        daemon.status_when(lambda s: s.fault is None, "the fault's end")
+        assert daemon.stop() == 0
+    assert len(load_map(daemon.map_path)[0].path) >= 1
