@@ -30,7 +30,7 @@ from amr_slam.simulation import (
 )
 from amr_slam.wire import PoseMessage, StatusMessage
 
-DEADLINE_S = 30.0
+DEADLINE_S = 60.0
 ROBOT = "amr7"
 DBC = str(REPO / "config/wheels.dbc")
 

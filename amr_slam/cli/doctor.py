@@ -15,6 +15,10 @@ FAILURES: Final[dict[type[Exception], int]] = {}
 def run(arguments: argparse.Namespace) -> int:
     """Examine the robot here, or one elsewhere; what is found is all that is printed."""
     logging.disable(logging.WARNING)
-    if arguments.config is not None:
-        return examine_config(arguments.config)
-    return examine_robot(arguments.robot, arguments.connect or DEFAULT_ENDPOINT, arguments.keys)
+    try:
+        if arguments.config is not None:
+            return examine_config(arguments.config)
+        endpoint = arguments.connect or DEFAULT_ENDPOINT
+        return examine_robot(arguments.robot, endpoint, arguments.keys)
+    finally:
+        logging.disable(logging.NOTSET)
