@@ -80,6 +80,8 @@ class SlamResult:
     moved: Pose2 | None = None
     """Mapping: a loop was closed. What takes the robot's pose in the map of before, of which
     ``fix`` speaks, to that in the map of now."""
+    joined_at: tuple[Pose2, Array] | None = None
+    """``inserted``: pose and covariance (3, 3) with which the scan joined the map of before."""
 
 
 class SlamEngine:
@@ -90,6 +92,7 @@ class SlamEngine:
         self.map = grown
         self.mode: Mode = mode
         self._last_inserted: Pose2 | None = None
+        self._joined: tuple[Pose2, Array] | None = None
         # A map that was loaded is held for true: its loops are closed.
         self.chart = Chart(params) if mode == "mapping" and not len(grown) else None
         self._inspector = Inspector(params)
@@ -250,7 +253,7 @@ class SlamEngine:
         wrong = inspection.looks is Looks.WRONG
         inserted = len(request.cloud) > 0 and not wrong
         if inserted:
-            self._insert(request.cloud, pose, np.eye(3))
+            self.join(request.cloud, pose, np.eye(3))
         answer = unknown("the first scan founds the map" if inserted else "the scan is empty")
         if wrong:
             answer = unknown("the scanners contradict each other")
@@ -286,11 +289,13 @@ class SlamEngine:
             pose = request.map_from_base
         if pose is None or covariance is None or not self._moved(pose):
             return None
-        return self._insert(request.cloud, pose, covariance)
+        return self.join(request.cloud, pose, covariance)
 
-    def _insert(self, cloud: Cloud, pose: Pose2, covariance: Array) -> Pose2 | None:
+    def join(self, cloud: Cloud, pose: Pose2, covariance: Array) -> Pose2 | None:
+        """Let a scan become part of the map, as :attr:`SlamResult.joined_at` told of it. The same
+        scans make the same map. What closing a loop has moved the newest pose by, if it has."""
         self.map.insert(cloud, pose)
-        self._last_inserted = pose
+        self._last_inserted, self._joined = pose, (pose, covariance)
         if self.chart is None:
             return None
         moved = self.chart.insert(cloud, pose, covariance)
@@ -322,6 +327,7 @@ class SlamEngine:
             climbed=climbed,
             fix=fix,
             inserted=inserted,
+            joined_at=self._joined if inserted else None,
             map_scans=len(self.map.path),
             map_points=len(self.map),
         )

@@ -17,8 +17,10 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
 
+from amr_slam.clouds import Cloud
 from amr_slam.engine import Mode, SlamEngine, SlamRequest, SlamResult
-from amr_slam.map import MapError, PointMap, load_map, save_map
+from amr_slam.geometry import Array, Pose2
+from amr_slam.map import LoadedMap, MapError, PointMap, load_newest, save_map
 from amr_slam.map.export import image_within, png_bytes
 from amr_slam.params import SlamParams
 from amr_slam.warming import warm_up
@@ -28,6 +30,16 @@ _NICENESS = 5
 _OLD_VERSIONS = 2
 _MAX_PIXELS: Final = 4_000_000
 """Of a picture: a few hundred kilobytes as PNG, half a second to make."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Joined:
+    """A scan that became part of a map."""
+
+    cloud: Cloud
+    map_from_base: Pose2
+    covariance: Array
+    """(3, 3)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,6 +68,10 @@ class Ready:
     """UUID of the file's content; None for a map that begins empty."""
     map_name: str
     map_scans: int
+    path: Path | None = None
+    """The file that was loaded."""
+    complaint: str | None = None
+    """Why that is an older version of the file that was asked for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,6 +89,14 @@ class Saved:
     error: str | None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unsaved:
+    """What had joined the map since it was saved last, in a process that was lost: before the
+    first request, and not answered."""
+
+    scans: tuple[Joined, ...]
+
+
 class Stop:
     """Asks the process to save and to end."""
 
@@ -83,6 +107,13 @@ class Stop:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Switch:
     """Save what was mapped, and go on with another job. Answered by Switched."""
+
+    job: SlamJob
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grow:
+    """Let the map that is loaded grow on, by another job. Answered by Switched."""
 
     job: SlamJob
 
@@ -143,7 +174,7 @@ class Declined:
     reason: str
 
 
-Task = Switch | Store | Draw
+Task = Switch | Grow | Store | Draw
 TaskAnswer = Switched | Stored | Drawn | Declined
 
 
@@ -167,6 +198,9 @@ def serve(pipe: Connection, job: SlamJob) -> None:
                 request = pipe.recv()
                 if isinstance(request, Stop):
                     break
+                if isinstance(request, Unsaved):
+                    server.join(request)
+                    continue
                 pipe.send(server.answer(request))
             if server.keeper.due_s() == 0.0:
                 pipe.send(server.keeper.save())
@@ -184,19 +218,32 @@ class _Server:
 
     def __init__(self, job: SlamJob) -> None:
         """Raises MapError."""
-        self._adopt(job, *_open_map(job))
+        self._adopt(job, _load(job))
 
     def ready(self) -> Ready:
-        grown = self._engine.map
-        return Ready(map_id=self._map_id, map_name=grown.name, map_scans=len(grown.path))
+        grown, loaded = self._engine.map, self._loaded
+        return Ready(
+            map_id=None if loaded is None else str(loaded.map_id),
+            map_name=grown.name,
+            map_scans=len(grown.path),
+            path=None if loaded is None else loaded.path,
+            complaint=None if loaded is None else loaded.complaint,
+        )
 
     def answer(self, request: SlamRequest | Task) -> SlamResult | TaskAnswer:
         try:
             match request:
                 case SlamRequest():
-                    return self._engine.update(request)
+                    result = self._engine.update(request)
+                    if result.moved is not None:
+                        # What joined before lies elsewhere now: only the file can tell a new
+                        # process where.
+                        self.keeper.hurry()
+                    return result
                 case Switch():
                     return self._switch(request.job)
+                case Grow():
+                    return self._grow(request.job)
                 case Store():
                     return self._store(request)
                 case Draw():
@@ -204,18 +251,28 @@ class _Server:
         except MapError as error:
             return Declined(reason=str(error))
 
+    def join(self, unsaved: Unsaved) -> None:
+        for one in unsaved.scans:
+            self._engine.join(one.cloud, one.map_from_base, one.covariance)
+
     def _switch(self, job: SlamJob) -> Switched:
         if job.target is not None:
             _must_be_free(job.target)
-        grown, map_id = _open_map(job)
+        loaded = _load(job)
         saved = self.keeper.save_if_changed()
         if saved is not None and saved.error is not None:
             raise MapError(saved.error)
-        self._adopt(job, grown, map_id)
+        self._adopt(job, loaded)
         return Switched(job=job, ready=self.ready())
 
-    def _adopt(self, job: SlamJob, grown: PointMap, map_id: str | None) -> None:
-        self._job, self._map_id = job, map_id
+    def _grow(self, job: SlamJob) -> Switched:
+        self._job, self._engine.mode = job, job.mode
+        self.keeper = _Keeper(job, self._engine.map, self._engine.settle)
+        return Switched(job=job, ready=self.ready())
+
+    def _adopt(self, job: SlamJob, loaded: LoadedMap | None) -> None:
+        grown = PointMap(job.params.map, job.name) if loaded is None else loaded.map
+        self._job, self._loaded = job, loaded
         self._engine = SlamEngine(job.params, grown, job.mode)
         self.keeper = _Keeper(job, grown, self._engine.settle)
 
@@ -248,11 +305,9 @@ class _Server:
         )
 
 
-def _open_map(job: SlamJob) -> tuple[PointMap, str | None]:
-    if job.source is None:
-        return PointMap(job.params.map, job.name), None
-    grown, map_id = load_map(job.source)
-    return grown, str(map_id)
+def _load(job: SlamJob) -> LoadedMap | None:
+    """None: the job's map begins empty. Raises MapError."""
+    return None if job.source is None else load_newest(job.source)
 
 
 def _must_be_free(path: Path) -> None:
@@ -271,7 +326,8 @@ class _Keeper:
         self._saved_revision = grown.revision
         self._saved_id: str | None = None
         self._period_s = job.save_period_s
-        self._next_s = time.monotonic() + job.save_period_s
+        self._saved_s = time.monotonic()
+        self._next_s = self._saved_s + job.save_period_s
         # Each save of one run replaces the last; older versions are those of earlier runs.
         self._keep = 0 if job.saved_before else _OLD_VERSIONS
 
@@ -281,6 +337,11 @@ class _Keeper:
             return None
         return max(0.0, self._next_s - time.monotonic())
 
+    def hurry(self) -> None:
+        """Save as soon as nobody waits, but no more often than each tenth of the period."""
+        soon_s = self._saved_s + 0.1 * self._period_s
+        self._next_s = min(self._next_s, max(soon_s, time.monotonic()))
+
     def save(self) -> Saved:
         """Write the map; a full disk is reported and tried again a period later."""
         error = None
@@ -288,7 +349,8 @@ class _Keeper:
             self.store()
         except MapError as reason:
             error = str(reason)
-        self._next_s = time.monotonic() + self._period_s
+        self._saved_s = time.monotonic()
+        self._next_s = self._saved_s + self._period_s
         return Saved(map_scans=len(self._grown.path), error=error)
 
     def save_if_changed(self) -> Saved | None:

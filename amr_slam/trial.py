@@ -44,6 +44,11 @@ class DaemonProcess:
                 command, stdout=stream, stderr=stream, start_new_session=True
             )
 
+    @property
+    def process(self) -> subprocess.Popen[bytes]:
+        """For who kills it, or looks at what it uses."""
+        return self._process
+
     def listener(self, endpoint: str, robot: str, timeout_s: float = 30.0) -> FleetListener:
         """Listen to the daemon's robot, which may still be starting.
 

@@ -71,6 +71,7 @@ name = "hall"
 listen = ["{endpoint}"]
 [recording]
 directory = "{folder}/recordings"
+ring_s = {ring_s}
 [service]
 save_period_s = {save_period_s}
 answer_limit_s = {answer_limit_s}
@@ -91,17 +92,27 @@ def write_config(
     save_period_s: float = 60.0,
     answer_limit_s: float = 30.0,
     edit: Callable[[str], str] = str,
+    *,
+    localize: bool = False,
+    ring_s: float = 600.0,
 ) -> Path:
     """A robot.toml whose devices are those of :class:`Robot` in the same folder, as ``edit``
-    leaves it."""
-    path = folder / "robot.toml"
+    leaves it.
+
+    ``localize``: in the map that an earlier run has made there.
+    """
     text = CONFIG.format(
         folder=folder,
         dbc=DBC,
         endpoint=endpoint,
         save_period_s=save_period_s,
         answer_limit_s=answer_limit_s,
+        ring_s=ring_s,
     )
+    if localize:
+        mode = f'mode = "localization"\npath = "{folder}/hall.amrmap"'
+        text = text.replace('mode = "mapping"', mode)
+    path = folder / "robot.toml"
     path.write_text(edit(text))
     return path
 
@@ -122,6 +133,7 @@ class Robot:
             seed=3,
             start_ns=time.monotonic_ns(),
         )
+        self.turn_radps = 0.15
         self.disturb: Callable[[Scan], Scan] = lambda scan: scan
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._live)
@@ -129,7 +141,7 @@ class Robot:
 
     def _live(self) -> None:
         while not self._stop.is_set():
-            for sample in self._robot.advance(0.0, 0.15):
+            for sample in self._robot.advance(0.0, self.turn_radps):
                 if isinstance(sample, Scan):
                     scanner = self.front if sample.scanner == "front" else self.rear
                     scanner.measure(self.disturb(sample).ranges_m)
@@ -156,6 +168,7 @@ class Supervisor:
         self.path = path
         self.told: list[str] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        path.unlink(missing_ok=True)
         self._socket.bind(str(path))
         self._thread = threading.Thread(target=self._listen)
         self._thread.start()
@@ -184,10 +197,25 @@ class Daemon:
         answer_limit_s: float = 30.0,
         record: Path | None = None,
         edit: Callable[[str], str] = str,
+        *,
+        localize: bool = False,
+        ring_s: float = 600.0,
+        settings: str = "",
     ) -> None:
+        """``settings``: more of the configuration, TOML."""
         self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
         self.map_path = folder / "hall.amrmap"
-        self.config = write_config(folder, self.endpoint, save_period_s, answer_limit_s, edit)
+        self.config = write_config(
+            folder,
+            self.endpoint,
+            save_period_s,
+            answer_limit_s,
+            edit,
+            localize=localize,
+            ring_s=ring_s,
+        )
+        with self.config.open("a") as stream:
+            stream.write(settings)
         self.supervisor = Supervisor(folder / "notify")
         self._log = folder / "log.txt"
         command = [sys.executable, "-m", "amr_slam", "run", "--config", str(self.config)]

@@ -8,6 +8,7 @@ import signal
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from daemon_rig import Daemon, Robot, until, write_config
@@ -65,7 +66,7 @@ def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(
         counts = topics_in(path)
         assert set(counts) == {
             *("/raw/front", "/raw/rear", "/raw/wheels", "/scan/front", "/scan/rear", "/wheels"),
-            *("/pose", "/status"),
+            *("/pose", "/status", "/decisions"),
         }
         assert counts["/pose"] > 20
         log = read_log(path)
@@ -125,7 +126,7 @@ def raw(stamp_ns: int, data: bytes = b"bytes") -> RawBytes:
 class Rig:
     """A recorder, closed at the end."""
 
-    def __init__(self, config: tuple[Config, Path], record: Path | None = None, **ring: float):
+    def __init__(self, config: tuple[Config, Path], record: Path | None = None, **ring: Any):
         self.directory = config[1].parent / "saved"
         settings = RecordingSettings(directory=self.directory, **ring)
         self.recorder = Recorder(replace(config[0], recording=settings), config[1], record)

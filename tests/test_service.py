@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zenoh
 from daemon_rig import (
@@ -24,9 +25,11 @@ from daemon_rig import (
     until,
     write_config,
 )
+from labs import cloud_at, room
 
 from amr_slam.cli import main
-from amr_slam.map import load_map
+from amr_slam.geometry import Pose2
+from amr_slam.map import MapParams, PointMap, load_map, save_map
 from amr_slam.samples import Scan, State
 from amr_slam.service import probe
 from amr_slam.wire import StatusMessage
@@ -169,7 +172,7 @@ def test_scanners_that_freeze_or_are_mirrored_are_named_and_come_back(
     ("number", "reason", "goes_on_with"),
     [
         (signal.SIGKILL, "killed by SIGKILL", "hall.amrmap"),
-        (signal.SIGSTOP, "no answer within 2 s", "an empty map"),
+        (signal.SIGSTOP, "no answer within 2 s", "scans since it was saved"),
     ],
     ids=["killed", "hung"],
 )
@@ -178,11 +181,11 @@ def test_poses_go_on_while_the_slam_process_is_replaced(
 ) -> None:
     with Daemon(tmp_path, save_period_s=5.0, answer_limit_s=2.0) as daemon:
         daemon.listen()
-        daemon.status_when(is_well, "all is well")
-        scans = 0
-        if goes_on_with != "an empty map":
+        before = daemon.status_when(
+            lambda s: is_well(s) and s.map is not None and s.map.version >= 2, "a map of two scans"
+        )
+        if number == signal.SIGKILL:
             until(lambda: "saved to" in daemon.log(), "the first save")
-            scans = len(load_map(daemon.map_path)[0].path)
         first = daemon.slam_process()
         daemon.waiting_poses()
         os.kill(first, number)
@@ -196,15 +199,17 @@ def test_poses_go_on_while_the_slam_process_is_replaced(
         assert daemon.slam_process() != first
         assert status.slam.errors == 1
         assert goes_on_with in (status.slam.detail or "")
+        assert before.map is not None
         assert status.map is not None
-        assert status.map.version >= max(scans, 1)
+        # All of it: what was on disk, and what had joined the map since.
+        assert status.map.version >= before.map.version
         seen = daemon.waiting_poses()
         assert any(reason in (pose.fault or "") for pose in seen)
         assert without_gap([pose.stamp for pose in seen])
         assert {b.seq - a.seq for a, b in itertools.pairwise(seen)} == {1}
         assert len({pose.epoch for pose in seen}) == 1
         assert daemon.stop() == 0
-        assert len(load_map(daemon.map_path)[0].path) >= max(scans, 1)
+        assert len(load_map(daemon.map_path)[0].path) >= status.map.version
 
 
 def test_missing_devices_are_waited_for_and_the_slam_process_outlives_nobody(
@@ -326,23 +331,44 @@ def test_a_probe_says_what_is_there_and_what_is_not(
     assert " 0.00 rad" not in seen["wheels"]
 
 
-def test_a_damaged_map_is_refused_by_run_and_check(
+def test_a_damaged_map_is_refused_and_a_good_one_is_taken_when_it_comes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "old.amrmap").write_bytes(b"AMRMAP\r\n" + bytes(100))
-    config = write_config(tmp_path)
-    old = config.read_text()
-    path = tmp_path / "old.amrmap"
-    config.write_text(old.replace('"mapping"', f'"localization"\npath = "{path}"'))
-    assert main(["check", "--config", str(config)]) == 2
-    assert "map.path" in capsys.readouterr().err
-    ended = subprocess.run(
-        [sys.executable, "-m", "amr_slam", "run", "--config", str(config)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=DEADLINE_S,
-    )
-    assert ended.returncode == 2
-    line = ended.stderr.splitlines()[-1]
-    assert line.startswith(f"amr-slam: error: {config}: map.path: ")
+    path = tmp_path / "hall.amrmap"
+    path.write_bytes(b"AMRMAP\r\n" + bytes(100))
+    with Daemon(tmp_path, localize=True) as daemon:
+        assert main(["check", "--config", str(daemon.config)]) == 2
+        assert "map.path" in capsys.readouterr().err
+        # A robot that nobody logs into says so where the fleet hears it.
+        daemon.listen()
+        status = daemon.status_when(lambda s: "hall.amrmap" in (s.fault or ""), "the map's fault")
+        assert status.map is None
+        assert status.state is State.STARTING
+        assert status.slam.link == "LOST"
+        grown = PointMap(MapParams(), "hall")
+        grown.insert(
+            cloud_at(room(), Pose2(4.0, 3.0, 0.0), np.random.default_rng(1)), Pose2(4, 3, 0)
+        )
+        save_map(grown, path)
+        status = daemon.status_when(lambda s: s.map is not None, "the map that was brought")
+        assert daemon.stop() == 0
+
+
+def test_an_older_version_stands_in_for_a_damaged_map_and_that_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "hall.amrmap"
+    for x_m in (4.0, 4.5):
+        grown = PointMap(MapParams(), "hall")
+        pose = Pose2(x_m, 3.0, 0.0)
+        grown.insert(cloud_at(room(), pose, np.random.default_rng(1)), pose)
+        save_map(grown, path)
+    good = load_map(tmp_path / "hall.amrmap.1")[1]
+    path.write_bytes(path.read_bytes()[:-1])
+    with Daemon(tmp_path, localize=True) as daemon:
+        daemon.listen()
+        status = daemon.status_when(lambda s: s.map is not None, "a map")
+        assert status.map is not None
+        assert status.map.id == str(good)
+        daemon.status_when(
+            lambda s: "using hall.amrmap.1, an older map" in (s.fault or ""), "that it is said"
+        )
+        assert daemon.stop() == 0

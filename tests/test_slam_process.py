@@ -29,6 +29,8 @@ from amr_slam.slam_process import (
     Declined,
     Draw,
     Drawn,
+    Grow,
+    Joined,
     Ready,
     Saved,
     SlamJob,
@@ -37,6 +39,7 @@ from amr_slam.slam_process import (
     Stored,
     Switch,
     Switched,
+    Unsaved,
 )
 
 DEADLINE_S = 60.0
@@ -127,11 +130,67 @@ def test_map_save_under_a_name_and_localize_in_it(tmp_path: Path) -> None:
 
         switched = line.ask(Switch(job=localizing(other)))
         assert isinstance(switched, Switched)
-        assert switched.ready == Ready(map_id=stored.map_id, map_name="other", map_scans=3)
+        assert switched.ready == Ready(
+            map_id=stored.map_id, map_name="other", map_scans=3, path=other
+        )
         found = line.ask(replace(scan(1), map_from_base=None, covariance=None))
         assert not found.inserted
         assert found.map_scans == 3
         line.pipe.send(Stop())
+
+
+def test_a_new_process_makes_the_same_map_of_what_was_saved_and_what_was_not(
+    tmp_path: Path,
+) -> None:
+    """To the last bit: the UUID is that of the content."""
+    job, unsaved = mapping(tmp_path), []
+    with serving(job) as line:
+        line.heard()
+        for step in range(5):
+            request = scan(step)
+            result = line.ask(request)
+            assert result.joined_at is not None
+            if step == 1:
+                line.ask(Store(target=None))
+                saved = (tmp_path / "hall.amrmap").read_bytes()
+            elif step > 1:
+                pose, covariance = result.joined_at
+                unsaved.append(
+                    Joined(cloud=request.cloud, map_from_base=pose, covariance=covariance)
+                )
+        whole = line.ask(Store(target=None))
+        line.pipe.send(Stop())
+    (tmp_path / "hall.amrmap").write_bytes(saved)  # as a kill would have left it
+    again = replace(job, source=job.target, saved_before=True)
+    with serving(again) as line:
+        line.pipe.send(Unsaved(scans=tuple(unsaved)))
+        assert line.heard().map_scans == 2
+        assert line.ask(Store(target=None)) == whole
+        line.pipe.send(Stop())
+    assert not (tmp_path / "hall.amrmap.1").exists()
+
+
+def test_a_map_grows_on_once_it_may(tmp_path: Path) -> None:
+    job = mapping(tmp_path)
+    with serving(job) as line:
+        line.heard()
+        line.ask(scan(0))
+        line.pipe.send(Stop())
+        assert line.heard() == Saved(map_scans=1, error=None)
+    assert job.target is not None
+    with serving(localizing(job.target)) as line:
+        line.heard()
+        assert line.ask(scan(1)).joined_at is None
+        switched = line.ask(Grow(job=replace(job, saved_before=True)))
+        assert isinstance(switched, Switched)
+        assert switched.job.mode == "mapping"
+        grown = line.ask(scan(2))
+        assert grown.inserted
+        assert grown.map_scans == 2
+        line.pipe.send(Stop())
+        assert line.heard() == Saved(map_scans=2, error=None)
+    assert len(load_map(job.target)[0].path) == 2
+    assert not (tmp_path / "hall.amrmap.1").exists()
 
 
 def test_what_was_mapped_is_saved_before_another_job_begins(tmp_path: Path) -> None:

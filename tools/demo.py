@@ -52,6 +52,7 @@ def main() -> int:
 def run(seconds: float, out: Path) -> int:
     """Start everything, drive, stop everything, judge; the exit status."""
     out.mkdir(parents=True, exist_ok=True)
+    (out / "demo.lastpose").unlink(missing_ok=True)  # a demo that was killed is not gone on with
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     # A folder and a port of its own: demos can run side by side.

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import logging
 import os
 import sys
 from collections.abc import Sequence
 
+from amr_slam.cli import logs
 from amr_slam.cli.parser import MODULES, join_negative_values, make_parser
 
 
@@ -21,7 +21,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = make_parser().parse_args(
         join_negative_values(sys.argv[1:] if argv is None else argv)
     )
-    _log_to_stderr()
+    logs.set_up()
     try:
         return _run(arguments)
     except KeyboardInterrupt:
@@ -53,11 +53,3 @@ def _refuse(message: str, status: int) -> int:
     line = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
     sys.stderr.write(f"amr-slam: error: {line}\n")
     return status
-
-
-def _log_to_stderr() -> None:
-    # The journal writes its own time beside each line.
-    time = "" if "JOURNAL_STREAM" in os.environ else "%(asctime)s "
-    logging.basicConfig(
-        stream=sys.stderr, level=logging.INFO, format=f"{time}%(levelname)s %(name)s: %(message)s"
-    )

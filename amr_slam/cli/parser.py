@@ -13,6 +13,7 @@ from typing import Final, NoReturn
 MODULES: Final = {
     "run": "amr_slam.cli.daemon",
     "check": "amr_slam.cli.daemon",
+    "doctor": "amr_slam.cli.doctor",
     "replay": "amr_slam.cli.replaying",
     "localize": "amr_slam.cli.localizing",
     "map": "amr_slam.cli.maps",
@@ -50,6 +51,7 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"amr-slam {version('amr-slam')}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     _add_daemon(commands)
+    _add_doctor(commands)
     _add_replay(commands)
     _add_localize(commands)
     _add_map(commands)
@@ -111,6 +113,22 @@ def _add_daemon(commands: Subparsers[_Parser]) -> None:
     )
 
 
+def _add_doctor(commands: Subparsers[_Parser]) -> None:
+    doctor = _command(
+        commands,
+        "doctor",
+        "says what is wrong and what to do next",
+        "amr-slam doctor --config /etc/amr-slam/amr7.toml",
+        "With --config: this computer, all devices, the map and the routers; a robot that runs "
+        "here is asked, else its devices are opened for 5 s. With ROBOT: a robot that runs "
+        "elsewhere. Status 1 when something is wrong.",
+    )
+    which = doctor.add_mutually_exclusive_group(required=True)
+    which.add_argument("--config", metavar="FILE", type=Path, help="TOML")
+    which.add_argument("robot", metavar="ROBOT", nargs="?", help="its name on Zenoh")
+    _add_session(doctor)
+
+
 def _add_replay(commands: Subparsers[_Parser]) -> None:
     replay = _command(
         commands,
@@ -122,6 +140,12 @@ def _add_replay(commands: Subparsers[_Parser]) -> None:
     )
     _add_log_and_robot(replay)
     add = replay.add_argument
+    add(
+        "--as-recorded",
+        action="store_true",
+        help="do again what the daemon did with a recording of its own, and compare the poses with "
+        "those it published: status 1 unless all are the same, bit for bit",
+    )
     add("--map", metavar="MAP", type=Path, help="localize in this map")
     add(
         "--mapping",

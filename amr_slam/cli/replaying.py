@@ -15,6 +15,7 @@ from typing import Any
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.cli.progress import Progress
 from amr_slam.cli.wiring import FAILURES, Source, odometry, open_source
+from amr_slam.config import load
 from amr_slam.engine import SlamEngine, SlamResult
 from amr_slam.evaluation import ErrorSummary, absolute_trajectory_error
 from amr_slam.fusion import FilterParams
@@ -22,6 +23,7 @@ from amr_slam.localizer import Localizer, LocalizerParams
 from amr_slam.map import PointMap, load_map, save_map
 from amr_slam.recording import Trajectory, write_tum
 from amr_slam.replay import ReplayResult, replay
+from amr_slam.rerun import rerun
 from amr_slam.samples import PoseEstimate, Scan
 
 __all__ = ["FAILURES", "run"]
@@ -31,6 +33,8 @@ _log = logging.getLogger(__name__)
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, write what was asked for, and sum up."""
+    if arguments.as_recorded:
+        return _as_recorded(arguments)
     mapping = _checked_mapping(arguments)
     begun_s = time.perf_counter()
     source = open_source(arguments)
@@ -61,6 +65,18 @@ def run(arguments: argparse.Namespace) -> int:
     speed = source.duration_s / took_s
     sys.stdout.write(f"{took_s:.1f} s (reading {read_s:.1f} s), {speed:.0f} x real time\n")
     return 0
+
+
+def _as_recorded(arguments: argparse.Namespace) -> int:
+    config = load(arguments.config) if arguments.config is not None else None
+    result = rerun(arguments.log, config)
+    sys.stdout.write(
+        f"{arguments.log.name}: {result.same} of {result.poses} poses are those that were "
+        f"published, bit for bit; {result.answers} scans were registered\n"
+    )
+    if result.first_difference is not None:
+        sys.stdout.write(f"first difference: {result.first_difference}\n")
+    return 0 if result.same == result.poses > 0 else 1
 
 
 def _checked_mapping(arguments: argparse.Namespace) -> bool:

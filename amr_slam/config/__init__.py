@@ -4,6 +4,7 @@ from amr_slam.config.checking import ConfigError
 from amr_slam.config.tree import (
     Config,
     MapSettings,
+    MetricsSettings,
     MountingSettings,
     OdometrySettings,
     RecordingSettings,
@@ -19,6 +20,7 @@ __all__ = [
     "Config",
     "ConfigError",
     "MapSettings",
+    "MetricsSettings",
     "MountingSettings",
     "OdometrySettings",
     "RecordingSettings",

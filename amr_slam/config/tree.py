@@ -143,15 +143,31 @@ class ServiceSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class MetricsSettings:
+    """Figures for Prometheus under ``http://HOST:PORT/metrics``."""
+
+    port: Annotated[int, Interval(ge=0, le=65535)] = 0
+    """0: none. 9464 is a usual one."""
+    host: str = "127.0.0.1"
+    """Address to listen on: this computer only, unless opened up. There is no password."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingSettings:
     """What the daemon keeps of the last minutes, to be saved when something was odd."""
 
     directory: Path = Path("recordings")
-    """Where ``<robot>-<UTC>-<reason>.mcap`` is saved when the daemon gets SIGUSR1."""
+    """Where ``<robot>-<UTC>-<reason>.mcap`` is saved when somebody asks for it (SIGUSR1, command
+    save_recording); under ``automatic/`` what is saved by itself when the robot gets worse."""
     ring_s: Annotated[float, Interval(ge=0, le=86400)] = 600.0
     """So many seconds are kept in memory, all bytes of all devices; 0 keeps nothing."""
     ring_mb: Annotated[float, Gt(0), Interval(le=4096)] = 64.0
     """At most so many megabytes of memory for it, whatever the time; the oldest goes first."""
+    automatic_mb: Annotated[float, Interval(ge=0, le=1_000_000)] = 500.0
+    """At most so many megabytes of disk for what is saved by itself, the oldest goes first; 0 saves
+    nothing by itself."""
+    automatic_count: Annotated[int, Interval(ge=1, le=10_000)] = 20
+    """At most so many of these recordings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,6 +188,7 @@ class Config:
     service: ServiceSettings
     recording: RecordingSettings
     shadow: ShadowSettings
+    metrics: MetricsSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,6 +209,7 @@ class _File:
     service: ServiceSettings = field(default_factory=ServiceSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
     shadow: ShadowSettings = field(default_factory=ShadowSettings)
+    metrics: MetricsSettings = field(default_factory=MetricsSettings)
 
 
 def load(file: Path) -> Config:
@@ -237,6 +255,7 @@ def parse(table: Mapping[str, Any]) -> Config:
         service=read.service,
         recording=read.recording,
         shadow=read.shadow,
+        metrics=read.metrics,
     )
     _cross_check(config)
     return config

@@ -31,8 +31,14 @@ class Commands:
 
     def seek(self, region: Region) -> Seek:
         """See :meth:`Localizer.seek`."""
+        self._end_seek("another pose has been named meanwhile")
         self._seek = Seek(self._fused.running.stamp_ns, region)
         return self._seek
+
+    def abandon(self, seek: Seek, reason: str) -> None:
+        """See :meth:`Localizer.abandon`."""
+        if seek is self._seek and not seek.ended:
+            seek.give_up(reason)
 
     def place(self, map_from_base: Pose2, covariance: Array) -> None:
         """See :meth:`Localizer.place`."""
@@ -45,6 +51,10 @@ class Commands:
         pose = self._fused.running.map_from_base
         self._end_seek("another command has made the robot forget its pose")
         self._placing.begin(None, pose, ANYWHERE, located=False)
+
+    def go_on_mapping(self) -> None:
+        """See :meth:`Localizer.go_on_mapping`."""
+        self._placing.mode = "mapping"
 
     def restart(self, mode: Mode) -> None:
         """See :meth:`Localizer.restart`."""

@@ -193,6 +193,10 @@ class Localizer:
         """
         return self._commands.seek(region)
 
+    def abandon(self, seek: Seek, reason: str) -> None:
+        """End a search that has not ended; one that another has replaced has."""
+        self._commands.abandon(seek, reason)
+
     def place(self, map_from_base: Pose2, covariance: Array) -> None:
         """The pose is this (covariance (3, 3)): a new epoch. Only without :meth:`objection`.
 
@@ -203,6 +207,10 @@ class Localizer:
     def forget(self) -> None:
         """Nothing is known: search the whole map. A new epoch. Only without :meth:`objection`."""
         self._commands.forget()
+
+    def go_on_mapping(self) -> None:
+        """The map in which the robot was localized grows from now on; its pose goes on."""
+        self._commands.go_on_mapping()
 
     def restart(self, mode: Mode) -> None:
         """Poses refer to another map from now on: a new epoch. ``odom`` goes on."""

@@ -4,5 +4,16 @@ from amr_slam.map.file import MapError, load_map, save_map
 from amr_slam.map.moving import moved
 from amr_slam.map.pointmap import MapParams, PointMap
 from amr_slam.map.provenance import Reframing
+from amr_slam.map.versions import LoadedMap, load_newest
 
-__all__ = ["MapError", "MapParams", "PointMap", "Reframing", "load_map", "moved", "save_map"]
+__all__ = [
+    "LoadedMap",
+    "MapError",
+    "MapParams",
+    "PointMap",
+    "Reframing",
+    "load_map",
+    "load_newest",
+    "moved",
+    "save_map",
+]

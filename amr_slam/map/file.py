@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import struct
 import uuid
 import zlib
@@ -20,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from amr_slam.durable import write_durably
 from amr_slam.geometry import Pose2
 from amr_slam.map.pointmap import MapParams, PointMap
 from amr_slam.map.provenance import from_header, to_header
@@ -72,38 +72,10 @@ def save_map(grown: PointMap, path: Path, *, keep: int = 2) -> uuid.UUID:
     """
     data, map_id = encode(grown)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        fresh = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-        try:
-            with fresh.open("wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            _rotate(path, keep)
-            fresh.replace(path)
-        except BaseException:
-            fresh.unlink(missing_ok=True)
-            raise
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_durably(path, data, keep=keep)
     except OSError as error:
         raise MapError(f"{path}: cannot write the map: {error.strerror or error}") from error
     return map_id
-
-
-def _rotate(path: Path, keep: int) -> None:
-    """Shift older versions by one; the current file is linked, so it never goes missing."""
-    for number in range(keep, 1, -1):
-        older = path.with_name(f"{path.name}.{number - 1}")
-        if older.exists():
-            older.replace(path.with_name(f"{path.name}.{number}"))
-    if keep and path.exists():
-        first = path.with_name(f"{path.name}.1")
-        first.unlink(missing_ok=True)
-        first.hardlink_to(path)
 
 
 def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:

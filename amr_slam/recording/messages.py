@@ -70,6 +70,8 @@ PUBLISHED_SCHEMAS = {"pose": "amr_slam.PoseMessage", "status": "amr_slam.StatusM
 """Of what was published, by the last part of its key. The messages are :mod:`amr_slam.wire`'s; the
 schemas name what a chart can show of them."""
 JOINTS_SCHEMA = "amr_slam.JointSample"
+DECISION_SCHEMA = "amr_slam.Decision"
+"""What the daemon's loop did with the localizer beside the samples (:mod:`amr_slam.rerun`)."""
 SCHEMAS = {
     SCAN_SCHEMA: _schema(
         SCAN_SCHEMA,
@@ -116,6 +118,7 @@ SCHEMAS = {
             **dict.fromkeys(("wheels", "slam"), _HEALTH),
         },
     ),
+    DECISION_SCHEMA: _schema(DECISION_SCHEMA, {"do": _STRING, "arguments": {"type": "array"}}),
     JOINTS_SCHEMA: _schema(
         JOINTS_SCHEMA,
         {"timestamp": _TIME, "names": _STRINGS, "angles_rad": _NUMBERS, "segment": _INTEGER},
@@ -143,6 +146,12 @@ def encode(sample: Sample | Raw) -> Entry:
 def encode_published(leaf: str, stamp_ns: int, payload: bytes) -> Entry:
     """What was published at ``stamp_ns`` (monotonic) under the key that ends in ``leaf``."""
     return Entry(f"/{leaf}", PUBLISHED_SCHEMAS[leaf], stamp_ns, payload)
+
+
+def encode_decision(stamp_ns: int, do: str, arguments: Any) -> Entry:
+    """``arguments``: plain JSON values."""
+    data = _bytes({"do": do, "arguments": arguments})
+    return Entry("/decisions", DECISION_SCHEMA, stamp_ns, data)
 
 
 def _encode_sample(sample: Sample) -> tuple[str, str, int, bytes]:

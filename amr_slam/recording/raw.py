@@ -130,6 +130,7 @@ def about_metadata(about: About) -> dict[str, str]:
         "monotonic_ns": str(about.monotonic_ns),
         "utc_ns": str(about.utc_ns),
         "config": about.config,
+        "reason": about.reason,
     }
 
 
@@ -148,4 +149,5 @@ def read_about(metadata: Mapping[str, str]) -> About:
         monotonic_ns=int(stamps[0]),
         utc_ns=int(stamps[1]),
         config=metadata["config"],
+        reason=metadata.get("reason", ""),
     )

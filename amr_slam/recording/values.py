@@ -63,6 +63,8 @@ class About:
     """... and what the wall clock said then."""
     config: str = ""
     """Text of the robot's configuration."""
+    reason: str = ""
+    """Why it was saved."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -98,9 +98,10 @@ class Commands:
             return
         asked, seek, deadline_ns = self._seeking
         if not seek.ended and asked.answer.cancelled():
-            seek.give_up("nobody waits for it any more")
+            self._localizer.abandon(seek, "nobody waits for it any more")
         if not seek.ended and now_ns > deadline_ns:
-            seek.give_up(f"no two scans confirmed it within {1e-9 * _SEEK_LIMIT_NS:g} s")
+            reason = f"no two scans confirmed it within {1e-9 * _SEEK_LIMIT_NS:g} s"
+            self._localizer.abandon(seek, reason)
         if not seek.ended:
             return
         self._seeking = None
@@ -178,10 +179,10 @@ class Commands:
         job, active = self._worker.job, self._worker.active_map
         if job.mode == "mapping":
             self._tasks.add(asked, Store(target=None), lambda answer: _written(asked, answer))
-        elif active is None or job.source is None:
+        elif active is None or active.path is None:
             asked.not_done("there is no map yet")
         else:
-            asked.done(MapFile(path=job.source, map_id=active.map_id))
+            asked.done(MapFile(path=active.path, map_id=active.map_id))
 
     def _drawn(self, asked: Asked, answer: TaskAnswer) -> None:
         assert isinstance(answer, Drawn)

@@ -20,18 +20,23 @@ from typing import Final
 
 from amr_slam.config import Config, ConfigError, load
 from amr_slam.engine import SlamRequest, SlamResult
-from amr_slam.localizer import Localizer, Sample
+from amr_slam.localizer import Sample
 from amr_slam.publishing import RobotPublisher
+from amr_slam.rerun import WitnessedLocalizer
 from amr_slam.samples import DriveSample, Outcome, Scan
 from amr_slam.service.clocks import PoseSchedule
 from amr_slam.service.commands import Commands
 from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 from amr_slam.service.encoders import encoders
+from amr_slam.service.metrics import Metrics, MetricsServer
 from amr_slam.service.pipe import FromWorker
 from amr_slam.service.recorder import Recorder
+from amr_slam.service.remembering import Recollection, Remembering
 from amr_slam.service.reporting import Reporter
+from amr_slam.service.resuming import Resuming, localizing_first
 from amr_slam.service.systemd import Notifier
 from amr_slam.service.tasks import Tasks
+from amr_slam.service.upkeep import Upkeep
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
 from amr_slam.shadow import Shadow
@@ -42,6 +47,10 @@ _log = logging.getLogger(__name__)
 # Together below the 5 s in which a stop has to be done.
 _SAVE_LIMIT_S: Final = 3.5
 _CLOSE_LIMIT_S: Final = 1.0
+_RING_SHARE: Final = 0.1
+"""Of a ring, that may lie before its first snapshot ..."""
+_RING_S: Final = 600.0
+"""... and of a recording without one."""
 
 _Item = Scan | DriveSample | DeviceEnded | FromWorker | Asked
 _FITTING: Final = frozenset({Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET})
@@ -70,8 +79,13 @@ def startup(
     opened.callback(signals.restore)
     recorder = Recorder(config, config_path, record)
     opened.callback(recorder.close)
+    memory = config.map.directory / f"{config.robot.name}.lastpose"
+    recollection = Recollection(memory)
+    job, cut_off = _job(config), None
+    if job.target is not None and recollection.cut_off == job.name and job.target.exists():
+        job, cut_off = localizing_first(job), job
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
-    worker = SlamWorker(_job(config), inbox.put, config.service.answer_limit_s)
+    worker = SlamWorker(job, inbox.put, config.service.answer_limit_s)
     opened.callback(_stop_worker, worker, inbox)
     publisher = opened.enter_context(
         RobotPublisher(config.zenoh, config.robot.name, encoders(config))
@@ -85,8 +99,22 @@ def startup(
     for device in devices:
         device.start()
     shadow = _shadow(config, publisher, opened)
-    reporter = Reporter(config, publisher, worker, wheels, scanners, recorder, shadow)
-    daemon = Daemon(config, config_path, inbox, worker, reporter, recorder, signals)
+    metrics = Metrics()
+    if config.metrics.port:
+        opened.callback(MetricsServer(config.metrics, metrics).close)
+    reporter = Reporter(
+        config, publisher, worker, wheels, scanners, recorder, metrics=metrics, shadow=shadow
+    )
+    remembering = Remembering(memory)
+    opened.callback(remembering.close)
+    upkeep = Upkeep(
+        recollection=recollection,
+        remembering=remembering,
+        resuming=Resuming(worker, cut_off),
+    )
+    daemon = Daemon(
+        config, config_path, inbox, worker, reporter, recorder, upkeep=upkeep, signals=signals
+    )
     publisher.serve(inbox.put)
     return daemon
 
@@ -116,6 +144,8 @@ class Daemon:
         worker: SlamWorker,
         reporter: Reporter,
         recorder: Recorder,
+        *,
+        upkeep: Upkeep,
         signals: _Signals,
     ) -> None:
         self.notifier = Notifier()
@@ -126,15 +156,19 @@ class Daemon:
         self._worker = worker
         self._reporter = reporter
         self._recorder = recorder
+        self._upkeep = upkeep
         self._is_ready = False
-        self._localizer = Localizer(
+        self._localizer = WitnessedLocalizer(
             config.localizer,
             config.fusion,
             config.slam.clouds,
             config.drive,
             {scanner.name: scanner.mounting.mounting for scanner in config.scanners},
-            config.map.mode,
+            worker.mode,
         )
+        if recorder.records:
+            period_s = _RING_SHARE * (config.recording.ring_s or _RING_S)
+            self._localizer.witness(recorder.decided, config.drive, period_s)
         self._tasks = Tasks(worker)
         self._commands = Commands(config, self._localizer, worker, self._tasks, recorder)
         self._handed_out: SlamRequest | None = None
@@ -156,7 +190,10 @@ class Daemon:
         self._worker.supervise(now_ns)
         wheels_came = any(isinstance(s, DriveSample) for s in samples)
         if self._schedule.takes(now_ns, wheels_came=wheels_came):
-            self._reporter.publish_pose(self._localizer.estimate(now_ns))
+            estimate = self._localizer.estimate(now_ns)
+            self._reporter.publish_pose(estimate)
+            self._upkeep.turn(now_ns, estimate, self._localizer, self._worker)
+        self._reporter.note_troubles(self._upkeep.troubles())
         self._reporter.note_wheels(self._localizer.calibration, self._localizer.wheel_events)
         summary = self._reporter.report(now_ns, self._localizer.outcomes)
         self._notify(now_ns, summary)
@@ -184,12 +221,12 @@ class Daemon:
             elif isinstance(answer := self._worker.hear(item), SlamResult):
                 samples.append(answer)
             elif answer is not None:
-                self._tasks.heard(answer)
+                if not self._upkeep.resuming.heard(answer, self._localizer):
+                    self._tasks.heard(answer)
             elif item.message is None:
                 self._localizer.drop_request()
                 self._tasks.lost()
-        if self._worker.refusal is not None:
-            raise ConfigError(self._worker.refusal, ("map", "path"), self._config_path)
+                self._upkeep.resuming.lost()
         return sorted(samples, key=lambda sample: sample.stamp_ns)
 
     def _give_up(self, ended: DeviceEnded) -> None:
@@ -220,7 +257,7 @@ class Daemon:
             self._reporter.publish_scan(request.cloud, at[0])
 
     def _notify(self, now_ns: int, summary: str | None) -> None:
-        if not self._is_ready and self._worker.ready:
+        if not self._is_ready and (self._worker.ready or self._worker.refusal is not None):
             self._is_ready = True
             # What start-up built stays: a full collection over it would hold the poses for 60 ms.
             gc.collect()

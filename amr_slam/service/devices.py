@@ -207,7 +207,7 @@ class DeviceThread(ABC, Generic[_SampleT]):
         )
         if self._lost:
             self._lost = False
-            _log.info("%s: back", self.name)
+            _log.info("%s: back", self.name, extra={"amr_device": self.name})
 
     def _note_status(self, source: Scanner | OdometrySource) -> None:
         errors, detail = source.status()
@@ -222,7 +222,8 @@ class DeviceThread(ABC, Generic[_SampleT]):
             self._seen, connected=False, rate_hz=0.0, detail=reason, errors=self._seen.errors + 1
         )
         # Said once for each loss, not at every attempt.
-        _log.log(logging.DEBUG if self._lost else logging.WARNING, "%s: %s", self.name, reason)
+        level, fields = logging.DEBUG if self._lost else logging.WARNING, {"amr_device": self.name}
+        _log.log(level, "%s: %s", self.name, reason, extra=fields)
         self._lost = True
 
 

@@ -6,7 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -22,7 +22,7 @@ from amr_slam.service.devices import DeviceEnded, ScannerThread, WheelsThread
 PROBE_S: Final = 5.0
 """Two scans of the slowest scanner, and time to push the robot."""
 
-_Received = Scan | DriveSample | DeviceEnded
+Received = Scan | DriveSample | DeviceEnded
 
 
 def check(config_path: Path, *, probe: bool) -> int:
@@ -55,9 +55,21 @@ def _summary(config: Config, config_path: Path) -> Iterator[str]:
     yield f"  Zenoh: {config.zenoh.prefix}/{config.robot.name} on {', '.join(config.zenoh.listen)}"
 
 
-def _probe(config: Config) -> int:
-    """The daemon's own device threads, for a few seconds."""
-    received: list[_Received] = []
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Probed:
+    """What was seen of a device."""
+
+    name: str
+    line: str
+    """To print."""
+    complaint: str | None
+    """Why it is not well."""
+    link: Link
+
+
+def listen(config: Config) -> tuple[list[Probed], list[Received]]:
+    """Every device, opened by the daemon's own threads for :data:`PROBE_S`, and all that came."""
+    received: list[Received] = []
     # Every scan, not one in a scan period: a few tell what never moves.
     settings = [replace(scanner, poll_period_s=0.0) for scanner in config.scanners]
     scanners = [ScannerThread(s, received.append, PROBE_S) for s in settings]
@@ -69,28 +81,39 @@ def _probe(config: Config) -> int:
         device.start()
     time.sleep(PROBE_S)
     now_ns = time.monotonic_ns()
-    lines = {device: _seen(device, now_ns, list(received)) for device in devices}
+    probed = []
+    for device in devices:
+        line, complaint = _seen(device, now_ns, list(received))
+        link = device.health(now_ns).link
+        probed.append(Probed(name=device.name, line=line, complaint=complaint, link=link))
     for device in devices:
         device.ask_to_stop()
     for device in devices:
         device.join(1.0)
-    _print(line for line, _ in lines.values())
+    return probed, received
+
+
+def _probe(config: Config) -> int:
+    probed, received = listen(config)
+    _print(one.line for one in probed)
     for scanner in config.scanners:
         scans = [r for r in received if isinstance(r, Scan) and r.scanner == scanner.name]
         _print(f"{scanner.name}: {line}" for line in own_body(scans, scanner.mounting.mounting))
-    return 0 if all(well for _, well in lines.values()) else 1
+    return 0 if all(one.complaint is None for one in probed) else 1
 
 
 def _seen(
-    device: ScannerThread | WheelsThread, now_ns: int, received: Sequence[_Received]
-) -> tuple[str, bool]:
-    """(what to print of a device, whether it is well)."""
+    device: ScannerThread | WheelsThread, now_ns: int, received: Sequence[Received]
+) -> tuple[str, str | None]:
+    """(what to print of a device, why it is not well)."""
     ended = [r for r in received if isinstance(r, DeviceEnded) and r.name == device.name]
     if ended:
-        return f"{device.name}: FAILED: {ended[0].unusable or 'the driver has failed'}", False
+        complaint = ended[0].unusable or "the driver has failed"
+        return f"{device.name}: FAILED: {complaint}", complaint
     health, info = device.health(now_ns), device.info
+    complaint = health.detail or "nothing received"
     if health.link is Link.LOST or info is None:
-        return f"{device.name}: NOT THERE: {health.detail}", False
+        return f"{device.name}: NOT THERE: {complaint}", complaint
     facts = "".join(f", {name} {value}" for name, value in info.facts)
     line = f"{device.name}: {info.model} on {info.address}{facts}"
     if isinstance(device, ScannerThread):
@@ -99,8 +122,8 @@ def _seen(
         line += _wheels_seen([r for r in received if isinstance(r, DriveSample)])
     line += f"; {health.samples} samples, {health.rate_hz:.1f} Hz, {health.errors} errors"
     if health.link is not Link.OK or health.detail is not None:
-        return f"{line}; NOT WELL: {health.detail or 'nothing received'}", False
-    return line, True
+        return f"{line}; NOT WELL: {complaint}", complaint
+    return line, None
 
 
 def _scans_seen(scans: Sequence[Scan], name: str) -> str:

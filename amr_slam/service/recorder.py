@@ -22,11 +22,14 @@ from typing import Any, Final, Literal
 
 from amr_drivers import registry
 from amr_slam.config import Config
+from amr_slam.durable import sync_folder
 from amr_slam.recording import About, RecordedDevice, RecordingWriter
 from amr_slam.recording import Sample as Decoded
-from amr_slam.recording.messages import Entry, encode, encode_published
+from amr_slam.recording.messages import Entry, encode, encode_decision, encode_published
 from amr_slam.recording.ring import Kept, Ring
+from amr_slam.rerun import Decision
 from amr_slam.samples import WHEELS, Raw, RawBytes, Way, untapped
+from amr_slam.service.shelf import Shelf
 from amr_slam.wire import PoseMessage, StatusMessage
 
 _log = logging.getLogger(__name__)
@@ -40,7 +43,7 @@ _MAX_FILE_BYTES: Final = 8 << 20
 _CLOSE_LIMIT_S: Final = 0.4  # what the other parts leave of the 5 s of a stop
 
 _Published = PoseMessage | StatusMessage
-_Item = Raw | Decoded | tuple[int, _Published]
+_Item = Raw | Decoded | Decision | tuple[int, _Published]
 
 
 class Recorder:
@@ -55,16 +58,30 @@ class Recorder:
         self._devices = _devices(config)
         self._ring = Ring(settings.ring_s, round(1e6 * settings.ring_mb))
         self._keeps = settings.ring_s > 0.0
+        self._shelf = Shelf(
+            settings.directory / "automatic",
+            round(1e6 * settings.automatic_mb),
+            settings.automatic_count,
+        )
+        self.saves_by_itself = self._keeps and settings.automatic_mb > 0.0
+        """Whether there is a ring to save without being asked, and room for it."""
+        self.trouble: str | None = None
+        """Why the last saving failed; None when it did not."""
         self._file = None if record is None else _RecordFile(record, self._described(record))
         self._lock = threading.Lock()
         self._waiting: list[_Item] = []
         self._overrun = False
-        self._wanted: Path | None = None
+        self._wanted: tuple[Path, str] | None = None
         self._saving: threading.Thread | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         if self._keeps or record is not None:
             self._thread.start()
+
+    @property
+    def records(self) -> bool:
+        """Whether anything is kept of what it is given."""
+        return self._thread.is_alive()
 
     @property
     def tap(self) -> Callable[[Raw], object]:
@@ -81,9 +98,15 @@ class Recorder:
         if self._thread.is_alive():
             self._put((time.monotonic_ns(), message))
 
-    def save(self, reason: str) -> Path | None:
+    def decided(self, decision: Decision) -> None:
+        """What the loop does with the localizer."""
+        if self._thread.is_alive():
+            self._put(decision)
+
+    def save(self, reason: str, *, automatic: bool = False) -> Path | None:
         """Have the ring saved; where it will be. None: there is none, or the last saving goes on.
 
+        ``automatic``: nobody has asked for it; it goes when others come.
         Raises ValueError when ``reason`` is not 1 to 40 letters, digits, '_' or '-'.
         """
         if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", reason):
@@ -91,12 +114,13 @@ class Recorder:
         if not self._keeps:
             _log.warning("nothing to save: recording.ring_s is 0")
             return None
-        path = self._directory / f"{self._robot}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{reason}.mcap"
+        folder = self._shelf.folder if automatic else self._directory
+        path = folder / f"{self._robot}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{reason}.mcap"
         with self._lock:
             if self._wanted is not None or (self._saving and self._saving.is_alive()):
                 _log.warning("%s: not saved: the last saving still goes on", path)
                 return None
-            self._wanted = path
+            self._wanted = path, reason
         return path
 
     def close(self) -> None:
@@ -146,7 +170,7 @@ class Recorder:
         if wanted is not None:
             saving = threading.Thread(
                 target=self._save,
-                args=(self._ring.kept(now_ns), wanted),
+                args=(self._ring.kept(now_ns), *wanted),
                 name="recorder-saving",
                 daemon=True,
             )
@@ -154,29 +178,46 @@ class Recorder:
             with self._lock:
                 self._saving, self._wanted = saving, None
 
-    def _save(self, kept: Kept, path: Path) -> None:
+    def _save(self, kept: Kept, path: Path, reason: str) -> None:
         """A file that is there is whole: it gets its name when it is complete."""
         part = path.with_name(f".{path.name}.part")
+        automatic = path.parent == self._shelf.folder
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            if _free_bytes(path) < _LEAST_FREE_BYTES + kept.size_bytes:
-                _log.warning("%s: not saved: the disk is nearly full", path)
-                return
+            self._make_room(kept.size_bytes, automatic=automatic)
             try:
-                with self._described(part) as writer:
+                with self._described(part, reason) as writer:
                     for entries in kept.parts():
                         self._write_part(writer, entries)
                 with part.open("rb") as written:
                     os.fsync(written.fileno())
                 part.replace(path)
+                sync_folder(path.parent)
             finally:
                 part.unlink(missing_ok=True)
+            if automatic:
+                self._shelf.trim()
         except OSError as error:
-            _log.warning("%s: not saved: %s", path, error.strerror or error)
+            self._complain(path, error.strerror or str(error))
+        except _NoRoomError as error:
+            self._complain(path, str(error))
         except _GivenUpError:
             _log.warning("%s: not saved: stopping", path)
         else:
+            self.trouble = None
             _log.info("%s: saved", path)
+
+    def _make_room(self, size_bytes: int, *, automatic: bool) -> None:
+        """Automatic recordings give way to the others, and to the disk's least free space."""
+        if automatic and not self._shelf.make_room(size_bytes):
+            raise _NoRoomError(f"{size_bytes >> 20} MiB are more than recording.automatic_mb")
+        while _free_bytes(self._shelf.folder) < _LEAST_FREE_BYTES + size_bytes:
+            if not self._shelf.drop_oldest():
+                raise _NoRoomError("the disk is nearly full")
+
+    def _complain(self, path: Path, reason: str) -> None:
+        self.trouble = f"{path}: not saved: {reason}"
+        _log.warning("%s", self.trouble)
 
     def _write_part(self, writer: RecordingWriter, entries: Sequence[Entry]) -> None:
         begun_s = time.monotonic()
@@ -186,7 +227,7 @@ class Recorder:
         if self._stopping.wait(time.monotonic() - begun_s):
             raise _GivenUpError
 
-    def _described(self, path: Path) -> RecordingWriter:
+    def _described(self, path: Path, reason: str = "") -> RecordingWriter:
         writer = RecordingWriter(path)
         about = About(
             robot=self._robot,
@@ -194,9 +235,14 @@ class Recorder:
             monotonic_ns=time.monotonic_ns(),
             utc_ns=time.time_ns(),
             config=self._config_text,
+            reason=reason,
         )
         writer.describe(about, self._devices)
         return writer
+
+
+class _NoRoomError(Exception):
+    """A recording that the disk must not take."""
 
 
 class _GivenUpError(Exception):
@@ -243,11 +289,14 @@ def _entry(item: _Item) -> Entry:
     if isinstance(item, tuple):
         stamp_ns, message = item
         return encode_published(message.kind, stamp_ns, message.encode())
+    if isinstance(item, Decision):
+        return encode_decision(item.stamp_ns, item.do, item.arguments)
     return encode(item)
 
 
 def _free_bytes(path: Path) -> int:
-    return shutil.disk_usage(path.parent).free
+    """Of the disk of a file or folder that need not be there yet."""
+    return shutil.disk_usage(next(one for one in path.parents if one.exists())).free
 
 
 def _devices(config: Config) -> tuple[RecordedDevice, ...]:

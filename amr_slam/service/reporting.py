@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from importlib.metadata import version
 from os import getpid
 from typing import Final
@@ -26,6 +27,8 @@ from amr_slam.reporting import (
 from amr_slam.samples import Candidate, Health, Link, PoseEstimate, State
 from amr_slam.service.clocks import WallClock
 from amr_slam.service.devices import ScannerThread, WheelsThread
+from amr_slam.service.incidents import Incidents
+from amr_slam.service.metrics import Metrics
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.usage import Usage
 from amr_slam.service.worker import SlamWorker
@@ -54,8 +57,11 @@ class Reporter:
         wheels: WheelsThread,
         scanners: Sequence[ScannerThread],
         recorder: Recorder,
+        *,
+        metrics: Metrics,
         shadow: Shadow | None = None,
     ) -> None:
+        self._metrics = metrics
         self._config = config
         self._shadow = shadow
         self._publisher = publisher
@@ -78,17 +84,25 @@ class Reporter:
         self._fault: str | None = None
         self._calibration: Calibration | None = None
         self._slips: tuple[WheelEvent, ...] = ()
+        self._troubles: tuple[str, ...] = ()
+        save = partial(recorder.save, automatic=True)
+        self._incidents = Incidents(save) if recorder.saves_by_itself else None
 
     def note_wheels(self, known: Calibration | None, slips: tuple[WheelEvent, ...]) -> None:
         """What the fusion has to say of the wheels, for the next status."""
         self._calibration, self._slips = known, slips
+
+    def note_troubles(self, troubles: Iterable[str]) -> None:
+        """What the service itself has to say, one line each."""
+        self._troubles = tuple(troubles)
 
     def publish_pose(self, estimate: PoseEstimate | None) -> None:
         """``None``: no wheel sample came yet, so that there is no pose of any worth."""
         if estimate is None:
             return
         if estimate.state is not self._state:
-            _log.info("state: %s, was %s", estimate.state, self._state)
+            fields = {"amr_robot": self._config.robot.name, "amr_state": str(estimate.state)}
+            _log.info("state: %s, was %s", estimate.state, self._state, extra=fields)
         self._epoch = estimate.epoch
         self._state, self._pose_fault = estimate.state, estimate.fault
         self._candidates, self._explained = estimate.candidates, estimate.explained
@@ -105,6 +119,7 @@ class Reporter:
         self._recorder.published(message)
         if self._shadow is not None:
             self._shadow.said(message)
+        self._metrics.note_pose(message, time.monotonic_ns())
 
     def publish_scan(self, cloud: Cloud, map_from_base: Pose2) -> None:
         """The points of a scan that was registered, unless nobody wants any."""
@@ -131,8 +146,17 @@ class Reporter:
         self._clock.follow(now_ns)
         health = {name: scanner.health(now_ns) for name, scanner in self._scanners.items()}
         wheels, slam = self._wheels.health(now_ns), self._worker.health(now_ns)
-        self._fault = _joined(self._worker.fault, *_complaints(health | {"wheels": wheels}))
+        self._fault = _joined(
+            self._worker.fault,
+            self._worker.warning,
+            *_complaints(health | {"wheels": wheels}),
+            *self._troubles,
+            self._recorder.trouble,
+        )
         parts = {**health, "wheels": wheels, "slam": slam}
+        if self._incidents is not None:
+            connected = {name: part.link for name, part in parts.items() if name != "slam"}
+            self._incidents.look(now_ns, self._state, connected, self._worker.crashes)
         active = self._worker.active_map
         what = (
             self._state,
@@ -151,6 +175,7 @@ class Reporter:
         message = self._message(now_ns, health, wheels, slam, outcomes)
         self._publisher.publish_status(message)
         self._recorder.published(message)
+        self._metrics.note_status(message)
         self._statuses += 1
         links = ", ".join(f"{name} {part.link}" for name, part in parts.items())
         return f"{self._state}: {links}"

@@ -14,10 +14,12 @@ import signal
 import threading
 import time
 import uuid
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnProcess
+from pathlib import Path
 from typing import Final
 
 from amr_slam import slam_process
@@ -27,6 +29,7 @@ from amr_slam.service.pipe import FromWorker, Outgoing, receive, send
 from amr_slam.slam_process import (
     Declined,
     Drawn,
+    Joined,
     Ready,
     Refused,
     Saved,
@@ -36,6 +39,7 @@ from amr_slam.slam_process import (
     Switched,
     Task,
     TaskAnswer,
+    Unsaved,
 )
 
 _log = logging.getLogger(__name__)
@@ -46,10 +50,14 @@ _TASK_LIMIT_NS: Final = 60_000_000_000
 """For a task: to load, to write or to draw the largest map on a slow computer."""
 _PULSE_GRACE_NS: Final = 2_000_000_000
 """A process that outlives its kill by this much hangs in the kernel: the pulse stops."""
+_MOST_UNSAVED: Final = 1000
+"""Scans that are kept for a map that cannot be saved: half an hour of driving, 50 MB."""
 _END_S: Final = 0.2
 """What the kernel may take to end a process whose pipe has ended."""
 _FIRST_RETRY_NS: Final = 500_000_000
 _LAST_RETRY_NS: Final = 5_000_000_000
+_REFUSED_RETRY_NS: Final = 15_000_000_000
+"""Somebody has to bring another map."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +70,8 @@ class ActiveMap:
     name: str
     scans: int
     """That it is made of."""
+    path: Path | None = None
+    """The file that it was loaded from."""
 
 
 class SlamWorker:
@@ -88,9 +98,15 @@ class SlamWorker:
         self._stopping = False
         self.active_map: ActiveMap | None = None
         self.refusal: str | None = None
-        """Why the first process could not use its map."""
+        """Why there is no process: its map cannot be used."""
         self.fault: str | None = None
         """What to tell with every pose until a fix shows that it is over."""
+        self.warning: str | None = None
+        """What to tell with every pose while it lasts: a map that cannot be saved, or an older
+        version that stands in for a damaged one."""
+        self._asked: SlamRequest | None = None
+        # What a new process needs beside the file on disk to go on as if nothing had happened.
+        self._unsaved: deque[Joined] = deque(maxlen=_MOST_UNSAVED)
         self._spawn()
 
     # -- for the loop ----------------------------------------------------------------------
@@ -120,8 +136,14 @@ class SlamWorker:
         """Of the job."""
         return self._job.mode
 
+    @property
+    def crashes(self) -> int:
+        """Processes that were lost so far."""
+        return self._crashes
+
     def submit(self, request: SlamRequest | Task) -> None:
         """Hand over one request or task; only while idle."""
+        self._asked = request if isinstance(request, SlamRequest) else None
         self._limit_ns = (
             self._answer_limit_ns if isinstance(request, SlamRequest) else _TASK_LIMIT_NS
         )
@@ -226,6 +248,8 @@ class SlamWorker:
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if self._unsaved:
+            self._outbox.put(Unsaved(scans=tuple(self._unsaved)))
         theirs.close()  # with the last copy in the child, its end is the pipe's end
         # Daemons: a process that hangs must not keep the program from ending.
         threading.Thread(target=send, args=(ours, self._outbox), daemon=True).start()
@@ -237,6 +261,8 @@ class SlamWorker:
     def _on_ready(self, message: Ready) -> None:
         self._ready = True
         self._deadline_ns = None
+        if self.refusal is not None:
+            self.refusal, self._retry_ns = None, _FIRST_RETRY_NS
         if self._crashes == 0:
             self._detail = None
         else:
@@ -247,7 +273,12 @@ class SlamWorker:
     def _on_map(self, ready: Ready) -> None:
         map_id = self._run_id or ready.map_id
         if map_id is not None:
-            self.active_map = ActiveMap(map_id=map_id, name=ready.map_name, scans=ready.map_scans)
+            self.active_map = ActiveMap(
+                map_id=map_id, name=ready.map_name, scans=ready.map_scans, path=ready.path
+            )
+        self.warning = ready.complaint
+        if ready.complaint is not None:
+            _log.error("slam: %s", ready.complaint)
 
     def _on_task_answer(self, message: TaskAnswer) -> None:
         self._deadline_ns = None
@@ -255,30 +286,38 @@ class SlamWorker:
             self._job = message.job
             self._run_id = str(uuid.uuid4()) if self.mode == "mapping" else None
             self._detail = self.fault = None
+            self._unsaved.clear()
             self._on_map(message.ready)
             _log.info("slam: %s, map %s", self.mode, message.ready.map_name)
         elif isinstance(message, Stored) and message.path == self._job.target:
             self._on_saved(Saved(map_scans=message.map_scans, error=None))
 
     def _after_crash(self) -> str:
-        if self._job.source is not None:
-            return f"started again with {self._job.source}"
-        return "started again with an empty map: what was mapped before is lost"
+        source, scans = self._job.source, len(self._unsaved)
+        if source is not None and not scans:
+            return f"started again with {source}"
+        if source is None and not scans:
+            return "started again with an empty map"
+        saved = "" if source is None else f"{source} and "
+        return f"started again with {saved}the {scans} scans since it was saved"
 
     def _on_refused(self, message: Refused) -> None:
+        """There may be a map later: it is tried again as a process that was lost is."""
         self._killed_for = message.reason
-        if self._crashes == 0 and self._answers == 0:
-            self.refusal = message.reason
+        self.refusal = message.reason
+        self._retry_ns = _REFUSED_RETRY_NS
 
     def _on_saved(self, message: Saved) -> None:
         if message.error is not None:
-            self._detail = message.error
+            self._detail, self.warning = message.error, f"slam: {message.error}"
             _log.warning("slam: %s", message.error)
             return
+        self.warning = None
         if self._crashes == 0:
             self._detail = None
         # From now on this file is what a new process goes on with.
         self._job = replace(self._job, source=self._job.target, saved_before=True)
+        self._unsaved.clear()
         _log.info("slam: map of %d scans saved to %s", message.map_scans, self._job.target)
 
     def _on_answer(self, message: SlamResult) -> None:
@@ -289,6 +328,11 @@ class SlamWorker:
         self._deadline_ns = None
         self._answers += 1
         self._retry_ns = _FIRST_RETRY_NS
+        if message.joined_at is not None and self._asked is not None:
+            pose, covariance = message.joined_at
+            self._unsaved.append(
+                Joined(cloud=self._asked.cloud, map_from_base=pose, covariance=covariance)
+            )
         if message.fix is not None or message.inserted:
             self.fault = None
         if self.active_map is not None:
@@ -302,7 +346,7 @@ class SlamWorker:
         self._deadline_ns = None
         self._complain(self._killed_for or _told(self._process.exitcode))
         self._restart_ns = time.monotonic_ns() + self._retry_ns
-        self._retry_ns = min(2 * self._retry_ns, _LAST_RETRY_NS)
+        self._retry_ns = max(self._retry_ns, min(2 * self._retry_ns, _LAST_RETRY_NS))
         self._outbox.put(None)
         _log.error("slam: %s; a new process starts", self._detail)
 
