@@ -1,0 +1,125 @@
+"""Plays a row: a calm drive, the fault, the way back, and a calm drive again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Final
+
+from amr_slam.studies.faults.judging import Times, figures, states_of
+from amr_slam.studies.faults.processes import open_files
+from amr_slam.studies.faults.row import Finding, Row
+from amr_slam.studies.faults.stage import Stage
+from amr_slam.studies.faults.witness import Heard
+from amr_slam.wire import StatusMessage
+
+_PATIENCE: Final = 2.0
+"""How much longer than its deadline is waited for a sign, to tell by how much it is missed."""
+
+
+def play(row: Row, stage: Stage) -> Finding:
+    """Raises StageError when the robot is not well to begin with."""
+    stage.settle()
+    stage.onset_ns, stage.notes, stage.broken = None, [], []
+    pace, witness = stage.pace, stage.witness
+    deadline_s = pace.deadline_s(row.within_s, row.within_scans)
+    refused, files = witness.refused, _files(stage)
+    calm_ns = time.monotonic_ns()
+    stage.rest(pace.calm_s)
+    begin_ns = time.monotonic_ns()
+    with row.inject(stage):
+        sign = None
+        if row.says is not None:
+            sign = witness.wait_for(row.says, begin_ns, _PATIENCE * deadline_s + 1.0)
+        stage.rest(row.lasts_s - 1e-9 * (time.monotonic_ns() - begin_ns))
+    end_ns = time.monotonic_ns()
+    back_limit_s = pace.deadline_s(row.back_s, row.back_scans)
+    back = witness.wait_for(row.back, end_ns, _PATIENCE * back_limit_s + 1.0)
+    if back is not None:
+        stage.rest(pace.calm_s)
+    onset_ns = stage.onset_ns or begin_ns
+    times = Times(
+        calm_ns=calm_ns,
+        onset_ns=onset_ns,
+        end_ns=end_ns,
+        back_ns=None if back is None else back.received_ns,
+        last_ns=time.monotonic_ns(),
+        due_ns=onset_ns + round(1e9 * deadline_s),
+    )
+    heard = witness.since(calm_ns)
+    found = figures(
+        heard, stage.robot.truth(calm_ns), times, restarts=row.restarts, stays=row.stays
+    )
+    detected_s = None if sign is None else 1e-9 * (sign.received_ns - onset_ns)
+    recovered_s = None if back is None else 1e-9 * (back.received_ns - end_ns)
+    broken = [
+        *stage.broken,
+        *found.broken,
+        *_ended(stage),
+        *_late("said", detected_s, deadline_s if row.says is not None else None),
+        *_late("back", recovered_s, back_limit_s),
+    ]
+    if not row.restarts and witness.refused != refused:
+        broken.append(f"{witness.refused - refused} payloads that are no messages")
+    if not row.restarts and back is not None and stage.daemon.status is None:
+        broken += _leaked(files, _settled(lambda: _files(stage), files))
+    return Finding(
+        number=row.number,
+        fault=row.fault,
+        sign=row.sign,
+        detected_s=detected_s,
+        deadline_s=deadline_s,
+        states=states_of(heard, onset_ns),
+        said="" if sign is None else _said(sign),
+        recovered_s=recovered_s,
+        worst_m=found.worst_m,
+        unsaid_m=found.unsaid_m,
+        beyond=found.beyond,
+        gap_max_ms=found.gap_max_ms,
+        gap_p99_ms=found.gap_p99_ms,
+        broken=tuple(broken),
+        notes=tuple(stage.notes),
+        elsewhere=row.elsewhere,
+    )
+
+
+def _files(stage: Stage) -> int:
+    return open_files(stage.daemon.pid)
+
+
+def _settled(count: Callable[[], int], wanted: int) -> int:
+    """What is being closed just now is no leak."""
+    for _ in range(20):
+        if (now := count()) <= wanted:
+            return now
+        time.sleep(0.05)
+    return count()
+
+
+def _leaked(before: int, after: int) -> list[str]:
+    return [f"{after - before} more open files"] if after > before else []
+
+
+def _ended(stage: Stage) -> list[str]:
+    status = stage.daemon.status
+    return [] if status is None else [f"the daemon ended with status {status}"]
+
+
+def _late(what: str, took_s: float | None, limit_s: float | None) -> list[str]:
+    if limit_s is None:
+        return []
+    if took_s is None:
+        return [f"never {what}"]
+    return [] if took_s <= limit_s else [f"{what} after {took_s:.2f} s, wanted {limit_s:.2f} s"]
+
+
+def _said(sign: Heard) -> str:
+    message = sign.message
+    if message.fault is not None:
+        return message.fault
+    if isinstance(message, StatusMessage):
+        details = [
+            f"{name}: {part.detail}" for name, part in message.health().items() if part.detail
+        ]
+        return "; ".join(details) or f"status: {message.state}"
+    return "" if message.state is None else message.state.value
