@@ -8,9 +8,10 @@ from typing import Final
 
 _log = logging.getLogger(__name__)
 
-_MEASURE_PERIOD_NS: Final = 1_000_000_000
+_MEASURE_PERIOD_NS: Final = 20_000_000
+"""A pose after the clock was set bears the new time."""
 _STEP_NS: Final = 50_000_000
-"""The wall clock does not run away by this much in a second: somebody has set it."""
+"""The wall clock does not run away by this much meanwhile: somebody has set it."""
 _FOLLOW: Final = 0.1
 """Share of a wheel sample's deviation by which the schedule follows the wheels' own clock."""
 
@@ -44,7 +45,7 @@ class PoseSchedule:
 
 
 class WallClock:
-    """UTC from the monotonic clock, by an offset that is measured each second."""
+    """UTC from the monotonic clock, by an offset that is measured for each pose."""
 
     def __init__(self) -> None:
         self.utc_from_monotonic_ns = _measured_ns()
@@ -53,7 +54,8 @@ class WallClock:
         """How often UTC was set by more than 50 ms since the start."""
 
     def follow(self, now_ns: int) -> None:
-        """Measure anew when a second has passed. Estimates never see the step, stamps do."""
+        """Measure anew when a pose's period has passed. Estimates never see the step, stamps
+        do."""
         if now_ns - self._measured_ns < _MEASURE_PERIOD_NS:
             return
         self._measured_ns = now_ns

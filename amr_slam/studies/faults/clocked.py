@@ -1,4 +1,4 @@
-"""``python -m amr_slam.studies.faults.clocked FILE run ...``: the daemon on a clock that can be set.
+"""``python -m amr_slam.studies.faults.clocked FILE run ...``: a daemon whose clock can be set.
 
 The seconds in FILE are added to UTC, whenever they are changed, as if somebody had set the
 computer's clock; the monotonic clock goes on, as it does then.

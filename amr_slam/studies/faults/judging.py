@@ -17,15 +17,17 @@ from amr_slam.geometry import Array
 from amr_slam.judging import SILENT_FACTOR, SILENT_POSITION_M, ReportedPose, judge
 from amr_slam.recording import Trajectory
 from amr_slam.states import State
-from amr_slam.studies.faults.witness import Heard
+from amr_slam.studies.faults.witness import CLOCK_STEP_S, Heard
 from amr_slam.wire import PoseMessage, StatusMessage
 
 BLOCKED_MS: Final = 500.0
 """A longer pause is no busy computer any more: somebody waited. The table tells all pauses."""
 GROWTH_MB: Final = 30.0
 """Memory that one row may take: half a minute of the recorder's ring, and a map read anew."""
-STALE_S: Final = 0.3
-"""An older pose must say so."""
+_OLD_S: Final = 0.1
+"""Further than this from the last wheel sample nothing is extrapolated: the stamp stands still."""
+_RESOLUTION_S: Final = 1e-6
+"""Of UTC in a double, and of the measured offset between the clocks."""
 WORSE_M: Final = 0.02
 WORSE_FACTOR: Final = 2.0
 """After the fault, poses are as good as before: the median error, by no more than these."""
@@ -136,30 +138,26 @@ def _lies(claimed: Sequence[ReportedPose], truth: Trajectory, times: Times) -> l
 
 
 def _stamps(heard: Sequence[Heard], *, restarts: bool) -> list[str]:
+    """Each pose is of a later instant than the last one, or says how old it is."""
     broken = []
-    back = repeated = stale = 0
-    before: tuple[PoseMessage, ReportedPose] | None = None
+    back = repeated = 0
+    before: PoseMessage | None = None
     for one in heard:
-        message, report = one.message, one.report
-        if not isinstance(message, PoseMessage) or report is None:
+        pose = one.message
+        if not isinstance(pose, PoseMessage):
             continue
-        is_told = message.age_s > 0.1 or report.state is not State.LOCALIZED
-        age_s = 1e-9 * (report.received_ns - report.stamp_ns)
-        stale += age_s > STALE_S and not is_told
-        if before is not None and report.seq > before[0].seq:
-            # A stamp is UTC in a double: it is right to a microsecond and converted twice.
-            step_ns = report.stamp_ns - before[1].stamp_ns
-            back += step_ns < -2_000_000
-            repeated += abs(step_ns) < 2_000_000 and not is_told
+        if before is not None and pose.seq > before.seq:
+            step_s = math.remainder(pose.stamp - before.stamp, CLOCK_STEP_S)
+            is_told = pose.age_s > _OLD_S or pose.state is not State.LOCALIZED
+            back += step_s < -_RESOLUTION_S
+            repeated += abs(step_s) <= _RESOLUTION_S and not is_told
         elif before is not None and not restarts:
             broken.append("pose numbers began anew")
-        before = message, report
+        before = pose
     if back:
         broken.append(f"{back} poses stamped before the one before them")
     if repeated:
         broken.append(f"{repeated} poses repeated without saying so")
-    if stale:
-        broken.append(f"{stale} poses older than {STALE_S:g} s without saying so")
     return broken
 
 

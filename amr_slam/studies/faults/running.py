@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -72,6 +72,3 @@ def _by_setting(rows: Iterable[Row | Case]) -> list[Row | Case]:
     for row in rows:
         groups.setdefault(row.setting if isinstance(row, Row) else row.number, []).append(row)
     return [row for group in groups.values() for row in group]
-
-
-Progress = Callable[[str], None]

@@ -109,5 +109,5 @@ def config_text(
         connect=f'"{connect}"' if connect else "",
         keys=f'keys = "{keys}"' if keys else "",
         save_period_s=1.0 if setting.mapping else 60.0,
-        answer_limit_s=8.0,
+        answer_limit_s=12.0,
     )

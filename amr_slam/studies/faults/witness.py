@@ -11,13 +11,14 @@ from typing import Final, Self
 
 from amr_slam.client import FleetListener
 from amr_slam.judging import ReportedPose
+from amr_slam.service.clocks import WallClock
 from amr_slam.states import State
 from amr_slam.trial import reported
 from amr_slam.wire import PoseMessage, StatusMessage
 
 _WAIT_S: Final = 0.02
-_HOUR_NS: Final = 3_600_000_000_000
-"""Clocks are set by whole hours here: what is left of an age is the age."""
+CLOCK_STEP_S: Final = 3600.0
+"""Clocks are set by an hour here: what is left of an age is the age."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,13 +120,15 @@ class Witness:
     def _record(self, listener: FleetListener) -> None:
         status: StatusMessage | None = None
         alive = False
+        # Once: both clocks run alike, and a busy computer may come between two readings.
+        utc_from_monotonic_ns = WallClock().utc_from_monotonic_ns
         while not self._stopping.is_set():
             pose = listener.next_pose(_WAIT_S)
-            now_ns, utc_ns = time.monotonic_ns(), time.time_ns()
+            now_ns = time.monotonic_ns()
             view = listener.views()[self._robot]
             news: list[Heard] = []
             if pose is not None:
-                report = _this_hour(reported(pose, utc_ns, now_ns))
+                report = _this_hour(reported(pose, now_ns + utc_from_monotonic_ns, now_ns))
                 news.append(Heard(received_ns=now_ns, message=pose, report=report))
             if view.status is not None and view.status is not status:
                 status = view.status
@@ -145,5 +148,5 @@ def first(says: Says, heard: Sequence[Heard]) -> Heard | None:
 
 
 def _this_hour(report: ReportedPose) -> ReportedPose:
-    age_ns = report.received_ns - report.stamp_ns
-    return replace(report, stamp_ns=report.received_ns - round(math.remainder(age_ns, _HOUR_NS)))
+    age_s = math.remainder(1e-9 * (report.received_ns - report.stamp_ns), CLOCK_STEP_S)
+    return replace(report, stamp_ns=report.received_ns - round(1e9 * age_s))

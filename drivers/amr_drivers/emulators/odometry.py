@@ -64,11 +64,13 @@ class EmulatedOdometry:
         return stamp_ns
 
     def restart(self) -> None:
-        """The nodes that count lost their power where they stand now: they count from 0 again."""
+        """The node that counts lost its power where it stands now: it counts from 0 again.
+
+        Raises TypeError for drives, which are restarted one by one.
+        """
         if isinstance(self._settings, Cia402Settings):
-            self.pass_on(self.drives.reboot(time.monotonic_ns()))
-        else:
-            self._wheels.restart(*self._angles.values())
+            raise TypeError("drives are restarted one by one")
+        self._wheels.restart(*self._angles.values())
 
     def close(self) -> None:
         """Remove the port. Idempotent."""

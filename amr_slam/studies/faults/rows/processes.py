@@ -134,8 +134,8 @@ PROCESSES: Final = (
     ),
     Row(
         number="32b", fault="SLAM process hangs for ever", inject=_slam_hangs,
-        sign="fault: slam: no answer", says=fault_says("slam: no answer within 8 s"), within_s=8.5,
-        within_scans=1, lasts_s=1.0, back_s=10.0,
+        sign="fault: slam: no answer", says=fault_says("slam: no answer within 12 s"),
+        within_s=12.5, within_scans=1, lasts_s=1.0, back_s=10.0,
     ),
     Row(
         number="32c", fault="daemon: kill -9, started again", inject=_daemon_killed,

@@ -161,7 +161,16 @@ def _tells_damage(message: Message) -> bool:
     return "telegrams damaged" in (message.scanners["front"].detail or "")
 
 
+@contextmanager
+def _nothing(_stage: Stage) -> Iterator[None]:
+    yield
+
+
 SCANNERS: Final = (
+    Row(
+        number="0", fault="none, to compare", inject=_nothing, sign="", lasts_s=10.0,
+        stays=GOES_ON,
+    ),
     Row(
         number="1", fault="scanner's cable cut in the middle of a telegram", inject=_cut,
         sign="fault: front stale", says=fault_says("front stale"), within_s=0.6, stays=GOES_ON,
