@@ -10,7 +10,7 @@ from amr_slam.studies.faults.judging import Times, figures, states_of
 from amr_slam.studies.faults.processes import open_files
 from amr_slam.studies.faults.row import Finding, Row
 from amr_slam.studies.faults.stage import Stage
-from amr_slam.studies.faults.witness import Heard
+from amr_slam.studies.faults.witness import Heard, Presence
 from amr_slam.wire import StatusMessage
 
 _PATIENCE: Final = 2.0
@@ -115,11 +115,12 @@ def _late(what: str, took_s: float | None, limit_s: float | None) -> list[str]:
 
 def _said(sign: Heard) -> str:
     message = sign.message
-    if message.fault is not None:
-        return message.fault
+    if isinstance(message, Presence):
+        return "gone"
     if isinstance(message, StatusMessage):
-        details = [
-            f"{name}: {part.detail}" for name, part in message.health().items() if part.detail
-        ]
-        return "; ".join(details) or f"status: {message.state}"
-    return "" if message.state is None else message.state.value
+        parts = message.health().items()
+        said = [f"{name}: {part.detail}" for name, part in parts if part.detail]
+        said += [f"clock_steps {message.clock_steps}"] if message.clock_steps else []
+        said += [message.fault] if message.fault else []
+        return "; ".join(said)
+    return message.fault or message.state.value

@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Final, Literal
 
 ROBOT: Final = "amr7"
+PREFIX: Final = "amr"
+"""Of all keys: the default."""
 
 # Counters of 16 bits: they wrap after each 10 m, in every row.
 _TEXT: Final = """
@@ -77,7 +79,7 @@ class Setting:
 
     place: Literal["laboratory", "alike"] = "laboratory"
     mapping: bool = False
-    """Makes a new map, saved each second."""
+    """Makes a new map, saved each 5 s."""
     can: Literal["slcan", "udp_multicast"] = "slcan"
     """Only the second one can tell of errors on the bus by frames."""
     router: Literal["none", "open", "keys"] = "none"
@@ -108,6 +110,6 @@ def config_text(
         listen=f'"{listen}"' if listen else "",
         connect=f'"{connect}"' if connect else "",
         keys=f'keys = "{keys}"' if keys else "",
-        save_period_s=1.0 if setting.mapping else 60.0,
+        save_period_s=5.0 if setting.mapping else 60.0,
         answer_limit_s=12.0,
     )

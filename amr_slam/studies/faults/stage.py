@@ -26,7 +26,8 @@ from amr_slam.wire import PoseMessage
 _SCAN_PERIOD_S: Final = 0.2
 """Of the scanners. Real ones are five times as fast: two small processors carry all of this."""
 _START_S: Final = 120.0
-_END_S: Final = 10.0
+_END_S: Final = 60.0
+"""A SLAM process that is just starting looks for its daemon when it has started."""
 _PROGRAM: Final = ("-m", "amr_slam")
 
 

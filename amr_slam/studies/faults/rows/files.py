@@ -10,30 +10,42 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
+from amr_slam.client.asking import AskingError, call
 from amr_slam.map import MapError, load_map
 from amr_slam.states import State
 from amr_slam.studies.faults.judging import states_of
 from amr_slam.studies.faults.row import Case, Finding, Row, fault_says
 from amr_slam.studies.faults.rows.processes import gone
-from amr_slam.studies.faults.settings import STANDARD, Pace, Setting, config_text
+from amr_slam.studies.faults.settings import (
+    PREFIX,
+    ROBOT,
+    STANDARD,
+    Pace,
+    Setting,
+    config_text,
+)
 from amr_slam.studies.faults.stage import Stage, is_localized, is_mapping
-from amr_slam.studies.faults.witness import Message
+from amr_slam.studies.faults.witness import Heard, Message
 from amr_slam.trial import TrialError
-from amr_slam.wire import StatusMessage
+from amr_slam.wire import SaveMap, StatusMessage
 
 _MAPPING: Final = Setting(mapping=True)
 _KEEPS_MAPPING: Final = frozenset({State.MAPPING})
 _FULL_BYTES: Final = 4096
 _KILLS: Final = 6
+_SAVING_S: Final = 0.1
+"""In it a save begins and ends."""
+_ASK_S: Final = 2.0
 _STORM: Final = 3
-_REFUSAL_S: Final = 3.0
-"""A configuration is read after the imports: they take a second on a small computer."""
+_START_S: Final = 60.0
+_REFUSAL_S: Final = 1.0
 _EX_CONFIG: Final = 2
 """Not restarted, by the unit file."""
 
@@ -64,16 +76,22 @@ def _killed_while_saving(stage: Stage) -> Iterator[None]:
     path = stage.folder / "new.amrmap"
     whole = 0
     for _ in range(_KILLS):
-        before_ns = _written_ns(path)
-        _wait(lambda before_ns=before_ns: _written_ns(path) != before_ns)  # type: ignore[misc]
-        stage.rest(dice.uniform(0.0, 1.5))
+        stage.settle()
         worker = stage.slam()
+        asking = threading.Thread(target=_save, args=(stage,))
+        asking.start()
+        stage.rest(dice.uniform(0.0, _SAVING_S))
         os.kill(worker, signal.SIGKILL)
         stage.mark()
-        whole += _look_at_map(stage, path)
-        _wait(lambda worker=worker: stage.slam() != worker)  # type: ignore[misc]
-    stage.notes.append(f"{whole} of {_KILLS} maps whole")
+        asking.join()
+        whole += not path.exists() or _look_at_map(stage, path)
+    stage.notes.append(f"{whole} of {_KILLS} times no map or a whole one")
     yield
+
+
+def _save(stage: Stage) -> None:
+    with suppress(AskingError):  # who is killed does not answer
+        call(stage.witness.listener.session, PREFIX, ROBOT, SaveMap(name="new"), _ASK_S)
 
 
 @contextmanager
@@ -92,13 +110,6 @@ def _look_at_map(stage: Stage, path: Path) -> bool:
         stage.broken.append(str(error))
         return False
     return True
-
-
-def _written_ns(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except FileNotFoundError:
-        return 0
 
 
 def _wait(condition: Callable[[], bool]) -> None:
@@ -120,18 +131,29 @@ def _map_damaged(case: Case, make: Callable[[Setting], Stage]) -> Finding:
         path.write_bytes(data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :])
         begin_ns = time.monotonic_ns()
         try:
-            stage.start_daemon()
-            back = stage.witness.wait_for(is_localized, begin_ns, 2.0 * case.within_s)
-            said = "" if back is None else back.message.fault or "goes on with the previous map"
-            broken = [] if back is not None else ["neither refused nor localized"]
-        except TrialError:
-            back, broken = None, []
-            said = f"ends with status {stage.daemon.status}: {_last_line(stage.log)}"
+            with suppress(TrialError):  # it may end before anybody has heard it
+                stage.start_daemon()
+            back = _localized_or_ended(stage, begin_ns)
         finally:
             path.write_bytes(data)
         took_s = 1e-9 * (time.monotonic_ns() - begin_ns)
         states = states_of(stage.witness.since(begin_ns), begin_ns)
+        status = stage.daemon.status
+        if back is not None:
+            said = back.message.fault or "goes on with the version before it"
+        else:
+            said = f"ends with status {status}: {_last_line(stage.log)}"
+        broken = ["neither refused nor localized"] if back is None and status is None else []
     return _finding(case, took_s, states, said, broken)
+
+
+def _localized_or_ended(stage: Stage, begin_ns: int) -> Heard | None:
+    deadline_s = time.monotonic() + _START_S
+    while stage.daemon.status is None and time.monotonic() < deadline_s:
+        heard = stage.witness.wait_for(is_localized, begin_ns, 0.1)
+        if heard is not None:
+            return heard
+    return None
 
 
 def _config_wrong(case: Case, _make: Callable[[Setting], Stage]) -> Finding:
@@ -186,7 +208,7 @@ def _last_line(log: Path) -> str:
 FILES: Final = (
     Row(
         number="21", fault="no room for the map's file", inject=_disk_full,
-        sign="health: slam: cannot write the map", says=_tells_full, within_s=3.0, within_scans=2,
+        sign="health: slam: cannot write the map", says=_tells_full, within_s=7.0, within_scans=2,
         lasts_s=5.0, back=is_mapping, stays=_KEEPS_MAPPING, setting=_MAPPING,
         elsewhere="a full disk for all files",
     ),
@@ -195,7 +217,7 @@ FILES: Final = (
         sign="refused, or the version before it", within_s=10.0, play=_map_damaged,
     ),
     Row(
-        number="23", fault=f"SLAM process killed {_KILLS} times while it saves each second",
+        number="23", fault=f"SLAM process killed {_KILLS} times while it saves its map",
         inject=_killed_while_saving, sign="fault: slam: killed",
         says=fault_says("slam: killed by SIGKILL"), within_s=0.5, lasts_s=0.0, back=is_mapping,
         back_s=10.0, setting=_MAPPING, elsewhere="power",

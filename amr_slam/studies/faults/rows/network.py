@@ -13,7 +13,7 @@ from amr_slam.client.asking import AskingError, call
 from amr_slam.client.session import close_session, open_client
 from amr_slam.studies.faults.row import Row
 from amr_slam.studies.faults.rows.scanners import GOES_ON
-from amr_slam.studies.faults.settings import ROBOT, Setting
+from amr_slam.studies.faults.settings import PREFIX, ROBOT, Setting
 from amr_slam.studies.faults.stage import Stage
 from amr_slam.wire import (
     CommandReply,
@@ -25,7 +25,6 @@ from amr_slam.wire import (
     robot_key,
 )
 
-_PREFIX: Final = "amr"
 _ROUTER_BACK_S: Final = 5.0
 _ASK_S: Final = 1.0
 _FORGED_S: Final = 4.0
@@ -69,7 +68,7 @@ def _forged_commands(stage: Stage) -> Iterator[None]:
     for kind, name in (("fleet", "board"), ("robots", "amr8")):
         with _intruder(stage, (kind, name)) as session:
             try:
-                reply = call(session, _PREFIX, ROBOT, _ELSEWHERE, _ASK_S)
+                reply = call(session, PREFIX, ROBOT, _ELSEWHERE, _ASK_S)
             except AskingError:
                 stage.notes.append(f"set_pose by {kind}/{name}: not answered")
             else:
@@ -87,7 +86,7 @@ def _forged_poses(stage: Stage) -> Iterator[None]:
     with _intruder(stage, ("robots", "amr8")) as session:
         end_s = time.monotonic() + _FORGED_S
         while time.monotonic() < end_s:
-            session.put(robot_key(_PREFIX, ROBOT, Topic.POSE), forged)
+            session.put(robot_key(PREFIX, ROBOT, Topic.POSE), forged)
             stage.rest(0.02)
     yield
     believed = [
@@ -101,7 +100,7 @@ def _forged_poses(stage: Stage) -> Iterator[None]:
 @contextmanager
 def _odd_payloads(stage: Stage) -> Iterator[None]:
     """Too large, too deep, no numbers, and a megabyte that should not even be read."""
-    key = command_key(_PREFIX, ROBOT, "set_pose")
+    key = command_key(PREFIX, ROBOT, "set_pose")
     nan = SetPose.model_construct(x=math.nan, y=0.0, theta=0.0, radius=1.0)
     payloads = {
         "5 kB": b" " * 5000,

@@ -19,6 +19,8 @@ from amr_slam.studies.faults.witness import Message
 from amr_slam.wire import StatusMessage
 
 GOES_ON: Final = frozenset({State.LOCALIZED})
+POSE_S: Final = 0.04
+"""What a pose may take from its instant to the fleet, with the one that has just gone."""
 _LATE_S: Final = 0.4
 _NOISE_S: Final = 0.02
 _NOISE_BYTES: Final = 1000
@@ -173,7 +175,7 @@ SCANNERS: Final = (
     ),
     Row(
         number="1", fault="scanner's cable cut in the middle of a telegram", inject=_cut,
-        sign="fault: front stale", says=fault_says("front stale"), within_s=0.6, stays=GOES_ON,
+        sign="fault: front stale", says=fault_says("front stale"), within_s=0.5 + POSE_S, stays=GOES_ON,
     ),
     Row(
         number="2", fault="50 kB/s of noise on a scanner's line", inject=_noise,
@@ -196,7 +198,7 @@ SCANNERS: Final = (
     ),
     Row(
         number="6", fault="one scanner silent", inject=contextmanager(_silent("rear")),
-        sign="fault: rear stale", says=fault_says("rear stale"), within_s=0.6, stays=GOES_ON,
+        sign="fault: rear stale", says=fault_says("rear stale"), within_s=0.5 + POSE_S, stays=GOES_ON,
     ),
     Row(
         number="7", fault="both scanners silent for 22 s",

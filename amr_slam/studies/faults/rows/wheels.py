@@ -15,18 +15,16 @@ from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_slam.samples import WheelSample
 from amr_slam.states import State
 from amr_slam.studies.faults.row import Row, either, fault_says
-from amr_slam.studies.faults.rows.scanners import GOES_ON
+from amr_slam.studies.faults.rows.scanners import GOES_ON, POSE_S
 from amr_slam.studies.faults.settings import Setting
 from amr_slam.studies.faults.stage import Stage, is_localized
 from amr_slam.studies.faults.witness import Message
 from amr_slam.wire import StatusMessage
 
-_POSE_S: Final = 0.04
-"""What a pose may take from its instant to the fleet, with the one that has just gone."""
 _SLIP_M: Final = 0.4
-_SLIP_S: Final = 1.0
+_SLIP_S: Final = 0.3
 _RADIUS_M: Final = 0.1
-_SLIPS: Final = either(fault_says("wheels slip"), fault_says("wheels", "scans"))
+_SLIPS: Final = either(*map(fault_says, ("wheels slip", "wheel slips", "wheel stuck")))
 
 
 @contextmanager
@@ -133,13 +131,13 @@ _SILENT: Final = fault_says("wheels silent")
 WHEELS: Final = (
     Row(
         number="9", fault="CAN bus-off: error frame, then silence for 4 s", inject=_bus_off,
-        sign="fault: bus-off", says=fault_says("bus-off"), within_s=0.1 + _POSE_S,
+        sign="fault: bus-off", says=fault_says("bus-off"), within_s=0.1 + POSE_S,
         setting=Setting(can="udp_multicast"), back_scans=2,
         elsewhere="SocketCAN and the kernel's restart-ms",
     ),
     Row(
         number="10", fault="CAN silent for 4 s, robot drives on", inject=_silence,
-        sign="fault: wheels silent", says=_SILENT, within_s=0.1 + _POSE_S,
+        sign="fault: wheels silent", says=_SILENT, within_s=0.1 + POSE_S,
     ),
     Row(
         number="11", fault="CAN adapter removed and back", inject=_removed,
@@ -155,7 +153,7 @@ WHEELS: Final = (
         inject=_restarted, sign="", lasts_s=4.0, stays=GOES_ON,
     ),
     Row(
-        number="14", fault="left encoder stuck", inject=_stuck, sign="fault: wheels",
+        number="14", fault="left encoder stuck", inject=_stuck, sign="fault: wheel stuck, or slips",
         says=_SLIPS, within_scans=2, within_s=0.3, lasts_s=6.0, back=is_localized, back_scans=3,
     ),
     Row(
