@@ -90,6 +90,8 @@ class Localizer:
         self._events = WheelEvents(odometry)
         self._hypotheses = Hypotheses(params.tracking)
         self._refusals = 0
+        self._elsewhere = False
+        """The newest scan fits, but not where the robot is thought to be."""
         self._last_result: SlamResult | None = None
         self._frozen = FrozenScans()
         self._suspicions = Suspicions()
@@ -187,6 +189,7 @@ class Localizer:
             if outcome is not Outcome.RESET:
                 return outcome
         self._located, self._unconfirmed, self._refusals = located, False, 0
+        self._elsewhere = False
         self._left = None
         self._agreeing.clear()
         self._hypotheses.clear()
@@ -256,11 +259,12 @@ class Localizer:
         if self._suspicions.withholds(result.inspection):
             return Outcome.MISMOUNTED
         if result.fix is None and result.inserted:
-            self._refusals = 0
+            self._refusals, self._elsewhere = 0, False
             return Outcome.ACCEPTED
         with self._eased(self._filter):
             outcome = self._take_in(result, whole_map(result), self._weakened(result.fix))
         self._note_slip(result)
+        self._elsewhere = outcome is Outcome.GATED
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             if outcome is not Outcome.RESET:
                 self._left = None
@@ -562,7 +566,8 @@ class Localizer:
         ):
             return State.LOST
         silent = wheel_age_s > params.wheels_silent_s
-        if self._unconfirmed or since_fix_s > params.fresh_s or silent:
+        doubtful = self._unconfirmed or self._elsewhere
+        if doubtful or since_fix_s > params.fresh_s or silent:
             return State.ODOMETRY_ONLY
         return State.MAPPING if self._mode == "mapping" else State.LOCALIZED
 

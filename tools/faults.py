@@ -14,14 +14,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from amr_drivers.errors import DriverError
+from amr_slam.map import MapError
 from amr_slam.studies.faults.page import line, renew, tables
 from amr_slam.studies.faults.row import Finding
 from amr_slam.studies.faults.rows import ROWS
 from amr_slam.studies.faults.running import Bench, chosen, run
 from amr_slam.studies.faults.settings import QUICK, Pace
-from amr_slam.studies.faults.stage import StageError
-from amr_slam.trial import TrialError
 
 REPO = Path(__file__).resolve().parent.parent
 
@@ -41,7 +39,7 @@ def main() -> int:
             for finding in run(rows, bench):
                 print(line(finding), flush=True)
                 findings.append(finding)
-    except (DriverError, StageError, TrialError, OSError, ValueError) as error:
+    except (MapError, OSError, ValueError) as error:
         print(f"faults: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

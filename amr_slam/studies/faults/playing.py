@@ -13,6 +13,8 @@ from amr_slam.studies.faults.stage import Stage
 from amr_slam.studies.faults.witness import Heard, Presence
 from amr_slam.wire import StatusMessage
 
+_BUSY_S: Final = 0.2
+"""So much lateness of the emulated robot is worth a word."""
 _PATIENCE: Final = 2.0
 """How much longer than its deadline is waited for a sign, to tell by how much it is missed."""
 
@@ -24,6 +26,7 @@ def play(row: Row, stage: Stage) -> Finding:
     pace, witness = stage.pace, stage.witness
     deadline_s = pace.deadline_s(row.within_s, row.within_scans)
     refused, files = witness.refused, _files(stage)
+    paused_s = stage.robot.surroundings.paused_s
     calm_ns = time.monotonic_ns()
     stage.rest(pace.calm_s)
     begin_ns = time.monotonic_ns()
@@ -46,6 +49,9 @@ def play(row: Row, stage: Stage) -> Finding:
         last_ns=time.monotonic_ns(),
         due_ns=onset_ns + round(1e9 * deadline_s),
     )
+    paused_s = stage.robot.surroundings.paused_s - paused_s
+    if paused_s > _BUSY_S:
+        stage.notes.append(f"busy computer: the world stood still for {paused_s:.1f} s")
     heard = witness.since(calm_ns)
     found = figures(
         heard, stage.robot.truth(calm_ns), times, restarts=row.restarts, stays=row.stays

@@ -6,11 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from amr_drivers.errors import DriverError
 from amr_slam.studies.faults.place import Place, mapped
 from amr_slam.studies.faults.playing import play
 from amr_slam.studies.faults.row import Case, Finding, Row
 from amr_slam.studies.faults.settings import Pace, Setting
-from amr_slam.studies.faults.stage import Stage
+from amr_slam.studies.faults.stage import Stage, StageError
+from amr_slam.trial import TrialError
 
 
 class Bench:
@@ -33,23 +35,33 @@ class Bench:
 
 def run(rows: Iterable[Row | Case], bench: Bench) -> Iterator[Finding]:
     """One finding a row, as they come. A robot that did not get over a row is replaced."""
-    ordered = _by_setting(rows)
     with ExitStack() as opened:
         stage: Stage | None = None
-        for row in ordered:
-            if isinstance(row, Case):
+        for row in _by_setting(rows):
+            if stage is not None and (isinstance(row, Case) or stage.setting != row.setting):
                 opened.close()
                 stage = None
-                yield row.play(row, bench.stage)
-                continue
-            if stage is None or stage.setting != row.setting:
-                opened.close()
-                stage = opened.enter_context(bench.stage(row.setting))
-            finding = play(row, stage)
+            try:
+                if isinstance(row, Case):
+                    finding = row.play(row, bench.stage)
+                else:
+                    stage = stage or opened.enter_context(bench.stage(row.setting))
+                    finding = play(row, stage)
+            except (StageError, TrialError, DriverError) as error:
+                finding = _failed(row, str(error))
             if finding.recovered_s is None:
                 opened.close()
                 stage = None
             yield finding
+
+
+def _failed(row: Row | Case, reason: str) -> Finding:
+    return Finding(
+        number=row.number, fault=row.fault, sign=row.sign, detected_s=None,
+        deadline_s=row.within_s, states="", said="", recovered_s=None, worst_m=None,
+        unsaid_m=None, beyond=None, gap_max_ms=None, gap_p99_ms=None, broken=(reason,),
+        elsewhere=row.elsewhere,
+    )  # fmt: skip
 
 
 def chosen(rows: Sequence[Row | Case], numbers: Sequence[str]) -> list[Row | Case]:

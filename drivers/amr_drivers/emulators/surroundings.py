@@ -87,6 +87,11 @@ class Surroundings:
                     self._turn(wheels, v_mps, omega_radps)
         return self.robot.stamp_ns + self._late_ns
 
+    @property
+    def paused_s(self) -> float:
+        """For how long the world stood still because the processor was late."""
+        return 1e-9 * self._late_ns
+
     def carry(self, way_m: float) -> None:
         """Lift the robot and set it down so much further along its tour."""
         self.robot.carry(self.robot.world_from_map @ self._follower.skip(way_m))

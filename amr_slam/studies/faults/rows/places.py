@@ -19,6 +19,8 @@ from amr_slam.studies.faults.stage import Stage, is_well
 from amr_slam.studies.faults.witness import Message
 from amr_slam.wire import PoseMessage
 
+DOUBTS: Final = state_is(State.LOST, State.AMBIGUOUS, State.ODOMETRY_ONLY)
+"""Does not claim to be where it was thought to be."""
 _CARRIED_M: Final = 12.0
 _CROWD: Final = 0.8
 _ALIKE_S: Final = 16.0
@@ -41,7 +43,7 @@ def _crowd(stage: Stage) -> Iterator[None]:
         yield
 
 
-def _doubts(message: Message) -> bool:
+def _complains(message: Message) -> bool:
     return isinstance(message, PoseMessage) and not is_well(message)
 
 
@@ -78,7 +80,8 @@ def _alike(case: Case, make: Callable[[Setting], Stage]) -> Finding:
 PLACES: Final = (
     Row(
         number="24", fault=f"kidnapped: set down {_CARRIED_M:g} m further along", inject=_kidnapped,
-        sign="lost or ambiguous", says=state_is(State.LOST, State.AMBIGUOUS), within_scans=3,
+        sign="fault: the newest scan fits elsewhere; or lost, ambiguous", says=DOUBTS,
+        within_scans=3,
         back_scans=6,
     ),
     Case(
@@ -87,7 +90,7 @@ PLACES: Final = (
     ),
     Row(
         number="26", fault=f"crowd: {100 * _CROWD:.0f} % of all beams blocked", inject=_crowd,
-        sign="fault, or no fix any more", says=_doubts, within_scans=1, within_s=0.5, lasts_s=8.0,
+        sign="fault, or no fix any more", says=_complains, within_scans=1, within_s=0.5, lasts_s=8.0,
         back_scans=3,
     ),
 )  # fmt: skip

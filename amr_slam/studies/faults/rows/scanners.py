@@ -175,7 +175,8 @@ SCANNERS: Final = (
     ),
     Row(
         number="1", fault="scanner's cable cut in the middle of a telegram", inject=_cut,
-        sign="fault: front stale", says=fault_says("front stale"), within_s=0.5 + POSE_S, stays=GOES_ON,
+        sign="fault: front stale", says=fault_says("front stale"), within_s=0.5 + POSE_S,
+        stays=GOES_ON,
     ),
     Row(
         number="2", fault="50 kB/s of noise on a scanner's line", inject=_noise,
@@ -198,7 +199,8 @@ SCANNERS: Final = (
     ),
     Row(
         number="6", fault="one scanner silent", inject=contextmanager(_silent("rear")),
-        sign="fault: rear stale", says=fault_says("rear stale"), within_s=0.5 + POSE_S, stays=GOES_ON,
+        sign="fault: rear stale", says=fault_says("rear stale"), within_s=0.5 + POSE_S,
+        stays=GOES_ON,
     ),
     Row(
         number="7", fault="both scanners silent for 22 s",

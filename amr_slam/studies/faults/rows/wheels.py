@@ -15,6 +15,7 @@ from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_slam.samples import WheelSample
 from amr_slam.states import State
 from amr_slam.studies.faults.row import Row, either, fault_says
+from amr_slam.studies.faults.rows.places import DOUBTS
 from amr_slam.studies.faults.rows.scanners import GOES_ON, POSE_S
 from amr_slam.studies.faults.settings import Setting
 from amr_slam.studies.faults.stage import Stage, is_localized
@@ -24,7 +25,9 @@ from amr_slam.wire import StatusMessage
 _SLIP_M: Final = 0.4
 _SLIP_S: Final = 0.3
 _RADIUS_M: Final = 0.1
-_SLIPS: Final = either(*map(fault_says, ("wheels slip", "wheel slips", "wheel stuck")))
+_SLIPS: Final = either(
+    *map(fault_says, ("wheels slip", "wheel slips", "wheel stuck", "fits, but elsewhere")), DOUBTS
+)
 
 
 @contextmanager
@@ -153,12 +156,12 @@ WHEELS: Final = (
         inject=_restarted, sign="", lasts_s=4.0, stays=GOES_ON,
     ),
     Row(
-        number="14", fault="left encoder stuck", inject=_stuck, sign="fault: wheel stuck, or slips",
+        number="14", fault="left encoder stuck", inject=_stuck, sign="fault: wheel stuck or slips; or doubts the pose",
         says=_SLIPS, within_scans=2, within_s=0.3, lasts_s=6.0, back=is_localized, back_scans=3,
     ),
     Row(
         number="15", fault=f"wheels slip by {_SLIP_M:g} m in {_SLIP_S:g} s", inject=_slipping,
-        sign="fault: wheels slip", says=_SLIPS, within_scans=1, within_s=0.3, back=is_localized,
+        sign="fault: wheels slip; or doubts the pose", says=_SLIPS, within_scans=1, within_s=0.3, back=is_localized,
         stays=frozenset({State.LOCALIZED, State.ODOMETRY_ONLY}),
     ),
 )  # fmt: skip
