@@ -22,7 +22,7 @@ from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
 from amr_slam.frozen import FrozenScans
 from amr_slam.fusion import Calibration, Easing, FilterParams, PoseFilter, Slip, error95_m
-from amr_slam.geometry import Array, Pose2
+from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.hypotheses import Hypotheses
 from amr_slam.mounting import Mounting
 from amr_slam.odometry import Odometry
@@ -90,8 +90,8 @@ class Localizer:
         self._events = WheelEvents(odometry)
         self._hypotheses = Hypotheses(params.tracking)
         self._refusals = 0
-        self._elsewhere = False
-        """The newest scan fits, but not where the robot is thought to be."""
+        self._elsewhere: Array | None = None
+        """The newest scan fits, but not where the robot is thought to be: (3,), from there."""
         self._last_result: SlamResult | None = None
         self._frozen = FrozenScans()
         self._suspicions = Suspicions()
@@ -189,7 +189,7 @@ class Localizer:
             if outcome is not Outcome.RESET:
                 return outcome
         self._located, self._unconfirmed, self._refusals = located, False, 0
-        self._elsewhere = False
+        self._elsewhere = None
         self._left = None
         self._agreeing.clear()
         self._hypotheses.clear()
@@ -259,12 +259,13 @@ class Localizer:
         if self._suspicions.withholds(result.inspection):
             return Outcome.MISMOUNTED
         if result.fix is None and result.inserted:
-            self._refusals, self._elsewhere = 0, False
+            self._refusals, self._elsewhere = 0, None
             return Outcome.ACCEPTED
+        fix = self._weakened(result.fix)
         with self._eased(self._filter):
-            outcome = self._take_in(result, whole_map(result), self._weakened(result.fix))
+            outcome = self._take_in(result, whole_map(result), fix)
         self._note_slip(result)
-        self._elsewhere = outcome is Outcome.GATED
+        self._elsewhere = self._beside(fix) if outcome is Outcome.GATED else None
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             if outcome is not Outcome.RESET:
                 self._left = None
@@ -321,6 +322,16 @@ class Localizer:
         if fix is not None and not from_whole_map and outcome is Outcome.GATED:
             outcome = self._consider_jump(fix)
         return outcome
+
+    def _beside(self, fix: SlamPose | None) -> Array | None:
+        """(3,) from the expected pose to that of a fix which was refused, in the map frame."""
+        assert self._filter is not None
+        expected = None if fix is None else self._filter.pose_at(fix.stamp_ns)
+        if fix is None or expected is None:
+            return None
+        off = fix.map_from_base.as_array() - expected[0].as_array()
+        off[2] = wrap_angle(float(off[2]))
+        return off
 
     def _note_slip(self, result: SlamResult) -> None:
         assert self._filter is not None
@@ -504,6 +515,9 @@ class Localizer:
             covariance = covariance + unseen.covariance
         since_fix_s = 1e-9 * (now_ns - self._filter.stamp_ns) + self._filter.since_fix_s
         state = self._state(covariance, since_fix_s, wheel_age_s)
+        if self._elsewhere is not None:
+            # The scan is wrong or the pose is: until the next one tells, both are possible.
+            covariance = covariance + np.outer(self._elsewhere, self._elsewhere)
         change = self._last_result.change if self._last_result is not None else None
         return PoseEstimate(
             stamp_ns=fused.stamp_ns,
@@ -566,7 +580,7 @@ class Localizer:
         ):
             return State.LOST
         silent = wheel_age_s > params.wheels_silent_s
-        doubtful = self._unconfirmed or self._elsewhere
+        doubtful = self._unconfirmed or self._elsewhere is not None
         if doubtful or since_fix_s > params.fresh_s or silent:
             return State.ODOMETRY_ONLY
         return State.MAPPING if self._mode == "mapping" else State.LOCALIZED

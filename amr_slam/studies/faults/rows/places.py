@@ -90,7 +90,7 @@ PLACES: Final = (
     ),
     Row(
         number="26", fault=f"crowd: {100 * _CROWD:.0f} % of all beams blocked", inject=_crowd,
-        sign="fault, or no fix any more", says=_complains, within_scans=1, within_s=0.5, lasts_s=8.0,
-        back_scans=3,
+        sign="fault, or no fix any more", says=_complains, within_scans=1, within_s=0.5,
+        lasts_s=8.0, back_scans=3,
     ),
 )  # fmt: skip

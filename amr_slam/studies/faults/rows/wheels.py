@@ -156,12 +156,14 @@ WHEELS: Final = (
         inject=_restarted, sign="", lasts_s=4.0, stays=GOES_ON,
     ),
     Row(
-        number="14", fault="left encoder stuck", inject=_stuck, sign="fault: wheel stuck or slips; or doubts the pose",
+        number="14", fault="left encoder stuck", inject=_stuck,
+        sign="fault: wheel stuck or slips; or doubts the pose",
         says=_SLIPS, within_scans=2, within_s=0.3, lasts_s=6.0, back=is_localized, back_scans=3,
     ),
     Row(
         number="15", fault=f"wheels slip by {_SLIP_M:g} m in {_SLIP_S:g} s", inject=_slipping,
-        sign="fault: wheels slip; or doubts the pose", says=_SLIPS, within_scans=1, within_s=0.3, back=is_localized,
+        sign="fault: wheels slip; or doubts the pose", says=_SLIPS, within_scans=1, within_s=0.3,
+        back=is_localized,
         stays=frozenset({State.LOCALIZED, State.ODOMETRY_ONLY}),
     ),
 )  # fmt: skip
