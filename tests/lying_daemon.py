@@ -22,5 +22,5 @@ def _lie(localizer: Localizer, now_ns: int) -> PoseEstimate | None:
 
 
 if __name__ == "__main__":
-    Localizer.estimate = _lie  # type: ignore[method-assign]
+    Localizer.estimate = _lie  # type: ignore[method-assign, assignment]
     sys.exit(main())

@@ -44,9 +44,7 @@ class Times:
     end_ns: int
     """to here,"""
     back_ns: int | None
-    """from here on the robot was well again,"""
-    last_ns: int
-    """and to here observed."""
+    """and from here on the robot was well again."""
     due_ns: int
     """Until here the sign was to come; errors before it nobody could know of."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 from amr_slam.studies.faults.judging import Times, figures, states_of
@@ -19,63 +20,53 @@ _PATIENCE: Final = 2.0
 """How much longer than its deadline is waited for a sign, to tell by how much it is missed."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Before:
+    """What is compared with the same afterwards."""
+
+    refused: int
+    files: int
+    paused_s: float
+
+    @staticmethod
+    def of(stage: Stage) -> _Before:
+        return _Before(
+            refused=stage.witness.refused,
+            files=open_files(stage.daemon.pid),
+            paused_s=stage.robot.surroundings.paused_s,
+        )
+
+
 def play(row: Row, stage: Stage) -> Finding:
     """Raises StageError when the robot is not well to begin with."""
     stage.settle()
     stage.onset_ns, stage.notes, stage.broken = None, [], []
-    pace, witness = stage.pace, stage.witness
-    deadline_s = pace.deadline_s(row.within_s, row.within_scans)
-    refused, files = witness.refused, _files(stage)
-    paused_s = stage.robot.surroundings.paused_s
-    calm_ns = time.monotonic_ns()
-    stage.rest(pace.calm_s)
-    begin_ns = time.monotonic_ns()
-    with row.inject(stage):
-        sign = None
-        if row.says is not None:
-            sign = witness.wait_for(row.says, begin_ns, _PATIENCE * deadline_s + 1.0)
-        stage.rest(row.lasts_s - 1e-9 * (time.monotonic_ns() - begin_ns))
-    end_ns = time.monotonic_ns()
-    back_limit_s = pace.deadline_s(row.back_s, row.back_scans)
-    back = witness.wait_for(row.back, end_ns, _PATIENCE * back_limit_s + 1.0)
-    if back is not None:
-        stage.rest(pace.calm_s)
-    onset_ns = stage.onset_ns or begin_ns
-    times = Times(
-        calm_ns=calm_ns,
-        onset_ns=onset_ns,
-        end_ns=end_ns,
-        back_ns=None if back is None else back.received_ns,
-        last_ns=time.monotonic_ns(),
-        due_ns=onset_ns + round(1e9 * deadline_s),
-    )
-    paused_s = stage.robot.surroundings.paused_s - paused_s
+    before = _Before.of(stage)
+    deadline_s = stage.pace.deadline_s(row.within_s, row.within_scans)
+    back_limit_s = stage.pace.deadline_s(row.back_s, row.back_scans)
+    times, sign = _perform(row, stage, deadline_s, back_limit_s)
+    heard = stage.witness.since(times.calm_ns)
+    truth = stage.robot.truth(times.calm_ns)
+    found = figures(heard, truth, times, restarts=row.restarts, stays=row.stays)
+    detected_s = None if sign is None else 1e-9 * (sign.received_ns - times.onset_ns)
+    recovered_s = None if times.back_ns is None else 1e-9 * (times.back_ns - times.end_ns)
+    paused_s = stage.robot.surroundings.paused_s - before.paused_s
     if paused_s > _BUSY_S:
         stage.notes.append(f"busy computer: the world stood still for {paused_s:.1f} s")
-    heard = witness.since(calm_ns)
-    found = figures(
-        heard, stage.robot.truth(calm_ns), times, restarts=row.restarts, stays=row.stays
-    )
-    detected_s = None if sign is None else 1e-9 * (sign.received_ns - onset_ns)
-    recovered_s = None if back is None else 1e-9 * (back.received_ns - end_ns)
     broken = [
         *stage.broken,
         *found.broken,
-        *_ended(stage),
         *_late("said", detected_s, deadline_s if row.says is not None else None),
         *_late("back", recovered_s, back_limit_s),
+        *_changed(row, stage, before, is_back=times.back_ns is not None),
     ]
-    if not row.restarts and witness.refused != refused:
-        broken.append(f"{witness.refused - refused} payloads that are no messages")
-    if not row.restarts and back is not None and stage.daemon.status is None:
-        broken += _leaked(files, _settled(lambda: _files(stage), files))
     return Finding(
         number=row.number,
         fault=row.fault,
         sign=row.sign,
         detected_s=detected_s,
         deadline_s=deadline_s,
-        states=states_of(heard, onset_ns),
+        states=states_of(heard, times.onset_ns),
         said="" if sign is None else _said(sign),
         recovered_s=recovered_s,
         worst_m=found.worst_m,
@@ -89,8 +80,45 @@ def play(row: Row, stage: Stage) -> Finding:
     )
 
 
-def _files(stage: Stage) -> int:
-    return open_files(stage.daemon.pid)
+def _perform(
+    row: Row, stage: Stage, deadline_s: float, back_limit_s: float
+) -> tuple[Times, Heard | None]:
+    """The drive itself; its instants, and the sign."""
+    witness, calm_s = stage.witness, stage.pace.calm_s
+    calm_ns = time.monotonic_ns()
+    stage.rest(calm_s)
+    begin_ns = time.monotonic_ns()
+    sign = None
+    with row.inject(stage):
+        if row.says is not None:
+            sign = witness.wait_for(row.says, begin_ns, _PATIENCE * deadline_s + 1.0)
+        stage.rest(row.lasts_s - 1e-9 * (time.monotonic_ns() - begin_ns))
+    end_ns = time.monotonic_ns()
+    back = witness.wait_for(row.back, end_ns, _PATIENCE * back_limit_s + 1.0)
+    if back is not None:
+        stage.rest(calm_s)
+    onset_ns = stage.onset_ns or begin_ns
+    times = Times(
+        calm_ns=calm_ns,
+        onset_ns=onset_ns,
+        end_ns=end_ns,
+        back_ns=None if back is None else back.received_ns,
+        due_ns=onset_ns + round(1e9 * deadline_s),
+    )
+    return times, sign
+
+
+def _changed(row: Row, stage: Stage, before: _Before, *, is_back: bool) -> list[str]:
+    """What is otherwise than it was before the row, and should not be."""
+    broken = []
+    if stage.daemon.status is not None:
+        broken.append(f"the daemon ended with status {stage.daemon.status}")
+    elif is_back and not row.restarts:
+        more = _settled(lambda: open_files(stage.daemon.pid), before.files) - before.files
+        broken += [f"{more} more open files"] if more > 0 else []
+    if not row.restarts and (refused := stage.witness.refused - before.refused):
+        broken.append(f"{refused} payloads that are no messages")
+    return broken
 
 
 def _settled(count: Callable[[], int], wanted: int) -> int:
@@ -100,15 +128,6 @@ def _settled(count: Callable[[], int], wanted: int) -> int:
             return now
         time.sleep(0.05)
     return count()
-
-
-def _leaked(before: int, after: int) -> list[str]:
-    return [f"{after - before} more open files"] if after > before else []
-
-
-def _ended(stage: Stage) -> list[str]:
-    status = stage.daemon.status
-    return [] if status is None else [f"the daemon ended with status {status}"]
 
 
 def _late(what: str, took_s: float | None, limit_s: float | None) -> list[str]:

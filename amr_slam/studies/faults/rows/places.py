@@ -60,7 +60,7 @@ def _alike(case: Case, make: Callable[[Setting], Stage]) -> Finding:
         heard = stage.witness.since(begin_ns)
         last_ns = heard[-1].received_ns if heard else begin_ns
         times = Times(
-            calm_ns=begin_ns, onset_ns=begin_ns, end_ns=last_ns, back_ns=None, last_ns=last_ns,
+            calm_ns=begin_ns, onset_ns=begin_ns, end_ns=last_ns, back_ns=None,
             due_ns=begin_ns,
         )  # fmt: skip
         found = figures(heard, stage.robot.truth(begin_ns), times)

@@ -215,7 +215,8 @@ SCANNERS: Final = (
     ),
     Row(
         number="17", fault=f"a scanner's telegrams late by {_LATE_S:g} s", inject=_late,
-        sign="fault: front stale", within_scans=5, stays=GOES_ON,
+        sign="fault: front stale", within_scans=5,
+        stays=frozenset({State.LOCALIZED, State.ODOMETRY_ONLY}),
         says=either(fault_says("front stale"), fault_says("front scanner missing")),
     ),
     Row(

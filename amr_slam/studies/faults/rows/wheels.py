@@ -13,7 +13,6 @@ from amr_drivers.can_odometry.frames import Frame
 from amr_drivers.emulators.can_faults import BUS_OFF
 from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_slam.samples import WheelSample
-from amr_slam.states import State
 from amr_slam.studies.faults.row import Row, either, fault_says
 from amr_slam.studies.faults.rows.places import DOUBTS
 from amr_slam.studies.faults.rows.scanners import GOES_ON, POSE_S
@@ -164,6 +163,5 @@ WHEELS: Final = (
         number="15", fault=f"wheels slip by {_SLIP_M:g} m in {_SLIP_S:g} s", inject=_slipping,
         sign="fault: wheels slip; or doubts the pose", says=_SLIPS, within_scans=1, within_s=0.3,
         back=is_localized,
-        stays=frozenset({State.LOCALIZED, State.ODOMETRY_ONLY}),
     ),
 )  # fmt: skip
