@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from amr_slam.studies.faults.judging import Times, figures, states_of
@@ -16,7 +16,7 @@ from amr_slam.wire import StatusMessage
 
 _BUSY_S: Final = 0.2
 """So much lateness of the emulated robot is worth a word."""
-_PATIENCE: Final = 2.0
+PATIENCE: Final = 2.0
 """How much longer than its deadline is waited for a sign, to tell by how much it is missed."""
 
 
@@ -37,14 +37,18 @@ class _Before:
         )
 
 
-def play(row: Row, stage: Stage) -> Finding:
-    """Raises StageError when the robot is not well to begin with."""
+def play(row: Row, stage: Stage, patience: float = PATIENCE) -> Finding:
+    """``patience``: so many deadlines are waited for.
+
+    Raises StageError when the robot is not well to begin with.
+    """
     stage.settle()
     stage.onset_ns, stage.notes, stage.broken = None, [], []
     before = _Before.of(stage)
     deadline_s = stage.pace.deadline_s(row.within_s, row.within_scans)
     back_limit_s = stage.pace.deadline_s(row.back_s, row.back_scans)
-    times, sign = _perform(row, stage, deadline_s, back_limit_s)
+    times, sign = _perform(row, stage, patience * deadline_s, patience * back_limit_s)
+    times = replace(times, due_ns=times.onset_ns + round(1e9 * deadline_s))
     heard = stage.witness.since(times.calm_ns)
     truth = stage.robot.truth(times.calm_ns)
     found = figures(heard, truth, times, restarts=row.restarts, stays=row.stays)
@@ -81,7 +85,7 @@ def play(row: Row, stage: Stage) -> Finding:
 
 
 def _perform(
-    row: Row, stage: Stage, deadline_s: float, back_limit_s: float
+    row: Row, stage: Stage, sign_wait_s: float, back_wait_s: float
 ) -> tuple[Times, Heard | None]:
     """The drive itself; its instants, and the sign."""
     witness, calm_s = stage.witness, stage.pace.calm_s
@@ -91,10 +95,10 @@ def _perform(
     sign = None
     with row.inject(stage):
         if row.says is not None:
-            sign = witness.wait_for(row.says, begin_ns, _PATIENCE * deadline_s + 1.0)
+            sign = witness.wait_for(row.says, begin_ns, sign_wait_s + 1.0)
         stage.rest(row.lasts_s - 1e-9 * (time.monotonic_ns() - begin_ns))
     end_ns = time.monotonic_ns()
-    back = witness.wait_for(row.back, end_ns, _PATIENCE * back_limit_s + 1.0)
+    back = witness.wait_for(row.back, end_ns, back_wait_s + 1.0)
     if back is not None:
         stage.rest(calm_s)
     onset_ns = stage.onset_ns or begin_ns
@@ -103,7 +107,7 @@ def _perform(
         onset_ns=onset_ns,
         end_ns=end_ns,
         back_ns=None if back is None else back.received_ns,
-        due_ns=onset_ns + round(1e9 * deadline_s),
+        due_ns=onset_ns,
     )
     return times, sign
 

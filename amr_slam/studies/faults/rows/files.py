@@ -228,7 +228,8 @@ FILES: Final = (
     ),
     Row(
         number="33", fault=f"daemon killed {_STORM} times as soon as it is up", inject=_storm,
-        sign="alive token falls", says=gone, within_s=1.5, lasts_s=0.0, back_s=10.0, back_scans=0,
+        sign="alive token falls", says=gone, within_s=1.5, lasts_s=0.0, back=is_localized,
+        back_s=10.0, back_scans=0,
         restarts=True, elsewhere="StartLimitBurst",
     ),
 )  # fmt: skip

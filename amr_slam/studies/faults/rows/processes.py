@@ -15,7 +15,7 @@ from amr_slam.states import State
 from amr_slam.studies.faults.row import Row, fault_says, state_is
 from amr_slam.studies.faults.rows.scanners import GOES_ON
 from amr_slam.studies.faults.settings import ROBOT, Setting
-from amr_slam.studies.faults.stage import Stage, StageError
+from amr_slam.studies.faults.stage import Stage, StageError, is_localized
 from amr_slam.studies.faults.witness import Message, Presence
 from amr_slam.wire import PoseMessage, StatusMessage
 
@@ -139,12 +139,14 @@ PROCESSES: Final = (
     ),
     Row(
         number="32c", fault="daemon: kill -9, started again", inject=_daemon_killed,
-        sign="alive token falls", says=gone, within_s=1.5, lasts_s=0.0, back_s=10.0, back_scans=0,
+        sign="alive token falls", says=gone, within_s=1.5, lasts_s=0.0, back=is_localized,
+        back_s=10.0, back_scans=0,
         restarts=True, elsewhere="systemd's restart",
     ),
     Row(
         number="32d", fault="daemon hangs, ended and started again", inject=_daemon_hangs,
-        sign="alive token falls", says=gone, within_s=1.5, lasts_s=0.0, back_s=10.0, back_scans=0,
+        sign="alive token falls", says=gone, within_s=1.5, lasts_s=0.0, back=is_localized,
+        back_s=10.0, back_scans=0,
         restarts=True, elsewhere="systemd's watchdog",
     ),
 )  # fmt: skip
