@@ -6,7 +6,7 @@ SECONDS ?= 60
 TARGET ?= all
 RUNS ?= 1000000
 
-.PHONY: install demo test check bench fuzz evaluate peers clean lock
+.PHONY: install demo test check bench fuzz faults evaluate peers clean lock
 
 install: $(VENV)/.installed          ## .venv with amr-slam in it, as robots get it
 
@@ -48,6 +48,9 @@ $(VENV)/.fuzz: requirements-fuzz.lock $(VENV)/.dev
 
 fuzz: $(VENV)/.fuzz                  ## parsers against odd bytes: make fuzz TARGET=s300_stream RUNS=10000000
 	$(BIN)/python tools/fuzz.py $(TARGET) --runs $(RUNS) $(ARGS)
+
+faults: $(VENV)/.dev                 ## docs/reliability.md anew: every fault on a whole robot, 20 minutes
+	$(BIN)/python tools/faults.py $(ARGS) --out docs/reliability.md
 
 $(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Self
 
@@ -33,11 +33,14 @@ class TrialError(Exception):
 class DaemonProcess:
     """``amr-slam run`` in a process of its own. A context manager; leaving it stops the daemon."""
 
-    def __init__(self, config: Path, log: Path) -> None:
+    def __init__(
+        self, config: Path, log: Path, program: Sequence[str] = ("-m", "amr_slam")
+    ) -> None:
         """``log``: where its standard output and error go. Relative paths in ``config`` start at
-        the working directory."""
+        the working directory. ``program``: what Python is to run, and what stands before ``run``.
+        """
         self._log = log
-        command = [sys.executable, "-m", "amr_slam", "run", "--config", str(config)]
+        command = [sys.executable, *program, "run", "--config", str(config)]
         with log.open("w", encoding="utf-8") as stream:
             # Its own session: Ctrl-C at a terminal is for the one who started it to handle.
             self._process = subprocess.Popen(
@@ -49,7 +52,18 @@ class DaemonProcess:
         """For who kills it, or looks at what it uses."""
         return self._process
 
-    def listener(self, endpoint: str, robot: str, timeout_s: float = 30.0) -> FleetListener:
+    def pid(self) -> int:
+        """Of the daemon, not of its SLAM process."""
+        return self._process.pid
+
+    @property
+    def status(self) -> int | None:
+        """Its exit status; None while it runs."""
+        return self._process.poll()
+
+    def listener(
+        self, endpoint: str, robot: str, timeout_s: float = 30.0, keys: Path | None = None
+    ) -> FleetListener:
         """Listen to the daemon's robot, which may still be starting.
 
         Raises TrialError when the daemon ends or does not answer in time.
@@ -58,7 +72,7 @@ class DaemonProcess:
         while True:
             self.check()
             try:
-                return FleetListener(endpoint, [robot], connect_timeout_s=_ATTEMPT_S)
+                return FleetListener(endpoint, [robot], keys=keys, connect_timeout_s=_ATTEMPT_S)
             except SessionError as error:
                 if time.monotonic() > deadline_s:
                     raise TrialError(f"{error}; see {self._log}") from error
@@ -75,7 +89,7 @@ class DaemonProcess:
         try:
             status = self._process.wait(_STOP_S)
         except subprocess.TimeoutExpired:
-            self._kill()
+            self.kill()
             raise TrialError(f"the daemon did not stop in {_STOP_S:g} s; see {self._log}") from None
         if status != 0:
             raise TrialError(f"the daemon ended with status {status}; see {self._log}")
@@ -91,8 +105,8 @@ class DaemonProcess:
         with contextlib.suppress(TrialError):
             self.stop()
 
-    def _kill(self) -> None:
-        """The whole session: its worker, too."""
+    def kill(self) -> None:
+        """The whole session: its worker, too. Idempotent."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()

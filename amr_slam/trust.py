@@ -110,5 +110,5 @@ def fault_of(
     change = result.change
     changed = change is not None and change.contradicting >= params.changed_share
     if refusals or (result.fix is None and not changed):
-        return result.answer.reason
+        return result.answer.reason or "the newest scan fits, but elsewhere: slipped, or carried?"
     return f"{change.describe()}: the place has changed?" if change and changed else None

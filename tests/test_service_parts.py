@@ -142,7 +142,7 @@ def test_a_step_of_the_wall_clock_is_counted_once(
     assert clock.steps == 0
     set_by_ns = -3600 * S
     clock.follow(now_ns + 2 * S + MS)
-    assert clock.steps == 0  # looked at once a second
+    assert clock.steps == 0  # looked at once a pose
     with caplog.at_level(logging.WARNING):
         for second in range(4, 8):
             clock.follow(now_ns + second * S)

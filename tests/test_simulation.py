@@ -305,6 +305,36 @@ def seen_share(world: World, positions: Array) -> float:
     return float(np.mean(seen[passable]))
 
 
+def test_a_robot_that_is_carried_sees_the_new_place_and_counts_nothing() -> None:
+    world = laboratory(3)
+    tour = plan_tour(world)
+    robot = SimulatedRobot(
+        world=world, world_from_map=tour.world_from_map, scanners=opposite_scanners(ScannerModel()),
+        scan_period_s=0.1,
+    )  # fmt: skip
+    follower = PathFollower(tour.path_in_map_m)
+    before = [s for s in robot.advance(0.0, 0.0) if isinstance(s, WheelSample)][-1]
+    there = robot.world_from_map @ follower.skip(8.0)
+    robot.carry(there)
+    assert robot.world_from_base == there
+    samples = [s for _ in range(10) for s in robot.advance(0.0, 0.0)]
+    wheels = [s for s in samples if isinstance(s, WheelSample)]
+    assert {(s.left_rad, s.right_rad) for s in wheels} == {(before.left_rad, before.right_rad)}
+    fresh = SimulatedRobot(
+        world=world, world_from_map=there, scanners=opposite_scanners(ScannerModel()),
+        scan_period_s=0.1,
+    )  # fmt: skip
+    seen = [s for _ in range(10) for s in fresh.advance(0.0, 0.0) if isinstance(s, Scan)]
+    carried = [s for s in samples if isinstance(s, Scan)]
+    np.testing.assert_allclose(carried[-1].ranges_m, seen[-1].ranges_m, atol=0.011)
+    # It drives on along its way from there.
+    v_mps, omega_radps = follower.steer(robot.map_from_base)
+    assert v_mps > 0.1
+    assert abs(omega_radps) < 0.8
+    with pytest.raises(ValueError, match="does not fit"):
+        robot.carry(Pose2(1e3, 1e3, 0.0))
+
+
 def test_same_seed_same_samples() -> None:
     def samples(seed: int) -> list[str]:
         world = laboratory(1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from amr_slam.frozen import FrozenScans
 from amr_slam.fusion import error95_m
 from amr_slam.geometry import Array
@@ -52,6 +54,10 @@ class Estimates:
             covariance = covariance + unseen.covariance
         since_fix_s = 1e-9 * (now_ns - fusion.stamp_ns) + fusion.since_fix_s
         state = self._state(covariance, since_fix_s, wheel_age_s)
+        elsewhere = self._placing.elsewhere
+        if elsewhere is not None:
+            # The scan is wrong or the pose is: until the next one tells, both are possible.
+            covariance = covariance + np.outer(elsewhere, elsewhere)
         result = self._placing.last_result
         change = None if result is None else result.change
         return PoseEstimate(
@@ -115,6 +121,7 @@ class Estimates:
         ):
             return State.LOST
         silent = wheel_age_s > params.wheels_silent_s
-        if placing.unconfirmed or since_fix_s > params.fresh_s or silent:
+        doubtful = placing.unconfirmed or placing.elsewhere is not None
+        if doubtful or since_fix_s > params.fresh_s or silent:
             return State.ODOMETRY_ONLY
         return State.MAPPING if placing.mode == "mapping" else State.LOCALIZED

@@ -116,7 +116,7 @@ class Localizer:
         if self._suspicions.withholds(result.inspection):
             return Outcome.MISMOUNTED
         if result.fix is None and result.inserted:
-            self._placing.refusals = 0
+            self._placing.refusals, self._placing.elsewhere = 0, None
             return Outcome.ACCEPTED
         return self._placing.take_in(result, self._weakened(result.fix))
 

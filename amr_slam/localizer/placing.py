@@ -7,7 +7,7 @@ import numpy as np
 from amr_slam.agreement import AGREE_D2, agreement_d2, moved
 from amr_slam.engine import Mode, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
-from amr_slam.geometry import Array, Pose2
+from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.hypotheses import Hypotheses
 from amr_slam.localizer.fused import FusedPose
 from amr_slam.samples import Outcome, SlamPose
@@ -29,6 +29,9 @@ class Placing:
         """The pose is what somebody said; no scan has agreed with it yet."""
         self.refusals = 0
         """Scans in a row that were of no use."""
+        self.elsewhere: Array | None = None
+        """(3,) The newest scan fits, but not where the robot is thought to be: from there to where
+        it fits, in the map frame."""
         self.last_result: SlamResult | None = None
         """The newest answer of the registration about the pose."""
         self.answered_ns: int | None = None
@@ -45,7 +48,7 @@ class Placing:
         if outcome is not Outcome.RESET:
             return outcome
         self.located, self.unconfirmed, self.refusals = located, False, 0
-        self._left = None
+        self.elsewhere = self._left = None
         self._agreeing.clear()
         self.hypotheses.clear()
         # The way from an older scan to the next one says nothing of the scanners' mounting.
@@ -57,6 +60,7 @@ class Placing:
         with self._fused.eased():
             outcome = self._weigh_answer(result, whole_map(result), fix)
         self._fused.note_slip(result.stamp_ns)
+        self.elsewhere = self._beside(fix) if outcome is Outcome.GATED else None
         if outcome in {Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET}:
             if outcome is not Outcome.RESET:
                 self._left = None
@@ -75,9 +79,18 @@ class Placing:
         turn = np.eye(3)
         turn[:2, :2] = moved.rotation
         self._fused.reset(stamp_ns, moved @ there[0], turn @ there[1] @ turn.T)
-        self._left = None
+        self.elsewhere = self._left = None
         self._agreeing.clear()
         self.hypotheses.clear()
+
+    def _beside(self, fix: SlamPose | None) -> Array | None:
+        """(3,) from the expected pose to that of a fix which was refused, in the map frame."""
+        expected = None if fix is None else self._fused.running.pose_at(fix.stamp_ns)
+        if fix is None or expected is None:
+            return None
+        off = fix.map_from_base.as_array() - expected[0].as_array()
+        off[2] = wrap_angle(float(off[2]))
+        return off
 
     def seek_anew(self) -> None:
         """What the pose was built on was wrong."""

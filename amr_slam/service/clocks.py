@@ -8,9 +8,12 @@ from typing import Final
 
 _log = logging.getLogger(__name__)
 
-_MEASURE_PERIOD_NS: Final = 1_000_000_000
+_MEASURE_PERIOD_NS: Final = 20_000_000
+"""A pose after the clock was set bears the new time."""
 _STEP_NS: Final = 50_000_000
-"""The wall clock does not run away by this much in a second: somebody has set it."""
+"""The wall clock does not run away by this much meanwhile: somebody has set it."""
+_DISTURBED_NS: Final = 1_000_000
+"""A reading of both clocks that took longer is none: the computer was busy."""
 _FOLLOW: Final = 0.1
 """Share of a wheel sample's deviation by which the schedule follows the wheels' own clock."""
 
@@ -44,20 +47,23 @@ class PoseSchedule:
 
 
 class WallClock:
-    """UTC from the monotonic clock, by an offset that is measured each second."""
+    """UTC from the monotonic clock, by an offset that is measured for each pose."""
 
     def __init__(self) -> None:
-        self.utc_from_monotonic_ns = _measured_ns()
+        self.utc_from_monotonic_ns, _ = _measured_ns()
         self._measured_ns = time.monotonic_ns()
         self.steps = 0
         """How often UTC was set by more than 50 ms since the start."""
 
     def follow(self, now_ns: int) -> None:
-        """Measure anew when a second has passed. Estimates never see the step, stamps do."""
+        """Measure anew when a pose's period has passed. Estimates never see the step, stamps
+        do."""
         if now_ns - self._measured_ns < _MEASURE_PERIOD_NS:
             return
+        offset_ns, doubt_ns = _measured_ns()
+        if doubt_ns > _DISTURBED_NS:
+            return  # and look again next time: stamps must not go back by it
         self._measured_ns = now_ns
-        offset_ns = _measured_ns()
         step_ns = offset_ns - self.utc_from_monotonic_ns
         if abs(step_ns) > _STEP_NS:
             self.steps += 1
@@ -65,8 +71,8 @@ class WallClock:
         self.utc_from_monotonic_ns = offset_ns
 
 
-def _measured_ns() -> int:
-    """UTC minus monotonic; the reading that was disturbed least of three."""
+def _measured_ns() -> tuple[int, int]:
+    """UTC minus monotonic, and how long it took to read: the least disturbed of three."""
     best_ns, offset_ns = 1 << 62, 0
     for _ in range(3):
         before_ns = time.monotonic_ns()
@@ -74,4 +80,4 @@ def _measured_ns() -> int:
         after_ns = time.monotonic_ns()
         if after_ns - before_ns < best_ns:
             best_ns, offset_ns = after_ns - before_ns, wall_ns - (before_ns + after_ns) // 2
-    return offset_ns
+    return offset_ns, best_ns

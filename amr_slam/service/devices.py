@@ -44,7 +44,7 @@ _JITTER: Final = 0.2
 """Of a waiting time: devices that were lost together are not tried together."""
 _RATE_SAMPLES: Final = 50
 _STALE_PERIODS: Final = 2.5
-_SCANS_STALE_S: Final = 1.0
+_SCANS_STALE_S: Final = 0.5
 """A scanner that is connected and gives nothing for this long is stale; slower ones later."""
 
 

@@ -137,6 +137,19 @@ class SimulatedRobot:
         self._remember()
         return [*before, *self._finished_scans(), self._wheel_sample()]
 
+    def carry(self, world_from_base: Pose2) -> None:
+        """Somebody lifts the robot, which notices nothing, and sets it down there, standing.
+
+        Raises ValueError where it does not fit.
+        """
+        if self._world.clearance(world_from_base.translation[None])[0] < self._vehicle.radius_m:
+            raise ValueError(f"the robot does not fit at {world_from_base}")
+        self._pose, self._heading_rad = world_from_base, world_from_base.theta_rad
+        self._v_mps = self._omega_radps = 0.0
+        base = np.array([world_from_base.x_m, world_from_base.y_m, self._heading_rad])
+        # A sweep under way sees the new place alone.
+        self._history = deque((stamp, base, people) for stamp, _, people in self._history)
+
     def _drive(self, v_mps: float, omega_radps: float, dt_s: float) -> None:
         vehicle = self._vehicle
         if self._person_ahead(v_mps):

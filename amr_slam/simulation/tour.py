@@ -130,6 +130,15 @@ class PathFollower:
         omega_radps = 2.0 * v_mps * math.sin(bearing_rad) / max(math.hypot(*to_aim[0]), 0.2)
         return v_mps, min(max(omega_radps, -_TURN_RADPS), _TURN_RADPS)
 
+    def skip(self, way_m: float) -> Pose2:
+        """Go on from so much further along the way: the pose there, looking along it."""
+        self._progress += round(way_m / STEP_M)
+        here, ahead = (
+            self._path[(self._progress + steps) % len(self._path)]
+            for steps in (0, round(_LOOKAHEAD_M / STEP_M))
+        )
+        return Pose2(float(here[0]), float(here[1]), math.atan2(*(ahead - here)[::-1]))
+
     def _steps_ahead(self, pose: Pose2) -> int:
         """To the nearest point of the next metre: never back, never over to another branch."""
         ahead = (self._progress + np.arange(round(1.0 / STEP_M))) % len(self._path)

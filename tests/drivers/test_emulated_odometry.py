@@ -15,10 +15,13 @@ from paths import REPO
 from amr_drivers import registry
 from amr_drivers.can_odometry.cia402.settings import Settings as Cia402Settings
 from amr_drivers.can_odometry.settings import Settings
+from amr_drivers.emulators.can_faults import BUS_OFF
 from amr_drivers.emulators.odometry import EmulatedOdometry, emulate
+from amr_drivers.emulators.ports import free_port
+from amr_drivers.errors import LinkLost
 from amr_slam import config
 from amr_slam.cli import main
-from amr_slam.samples import DriveSample
+from amr_slam.samples import DriveSample, OdometrySource
 from amr_slam.service import probe
 
 PERIOD_S = 0.02
@@ -110,6 +113,61 @@ def test_the_emulator_stands_in_for_what_a_driver_reads(
             motion = robot.drive.motion(samples[0], samples[-1])
             assert not motion.gap
             assert motion.delta.x_m > 0.0
+        finally:
+            driver.close()
+
+
+def test_wheels_that_restart_count_from_0_as_a_new_segment(tmp_path: Path) -> None:
+    settings = Settings(
+        interface="slcan", channel=str(tmp_path / "can"), dbc=str(REPO / "config/wheels.dbc")
+    )
+    with emulate(settings) as device:
+        driver = registry.odometry_module("can").open_odometry(settings)
+        try:
+            before = turned(device, driver, 9.0)
+            device.restart()
+            after = turned(device, driver, 9.5)
+            assert after.segment > before.segment
+        finally:
+            driver.close()
+    with (
+        emulate(Cia402Settings(interface="slcan", channel=str(tmp_path / "can"))) as drives,
+        pytest.raises(TypeError, match="one by one"),
+    ):
+        drives.restart()
+
+
+def turned(device: EmulatedOdometry, driver: OdometrySource, angle_rad: float) -> DriveSample:
+    """What is read once both wheels have come there."""
+    deadline_s = time.monotonic() + 20.0
+    while True:
+        assert time.monotonic() < deadline_s
+        device.turn(angle_rad, angle_rad, dt_s=PERIOD_S)
+        sample = driver.read(0.05)
+        if sample is not None:
+            return sample
+
+
+def test_a_multicast_bus_passes_error_frames_on() -> None:
+    settings = Settings(
+        interface="udp_multicast",
+        channel=f"239.74.163.2@{free_port()}",
+        dbc=str(REPO / "config/wheels.dbc"),
+    )
+    try:
+        device = emulate(settings)
+    except LinkLost as error:
+        pytest.skip(f"no multicast on this machine: {error}")
+    with device:
+        driver = registry.odometry_module("can").open_odometry(settings)
+        try:
+            turned(device, driver, 1.0)
+            device.wire.fail(time.monotonic_ns(), BUS_OFF)
+            deadline_s = time.monotonic() + 20.0
+            while driver.status()[1] != "bus-off":
+                assert time.monotonic() < deadline_s
+                driver.read(0.05)
+            assert device.adapter.heard()
         finally:
             driver.close()
 

@@ -65,7 +65,10 @@ class CanBus:
     def send(self, frame: Frame) -> None:
         """Send a frame; what cannot be sent is counted: a lost bus is seen when it is read."""
         message = can.Message(
-            arbitration_id=frame.identifier, data=frame.data, is_extended_id=frame.is_extended
+            arbitration_id=frame.identifier,
+            data=frame.data,
+            is_extended_id=frame.is_extended,
+            is_error_frame=frame.is_error,
         )
         with self._receiving:
             try:

@@ -1,15 +1,19 @@
-"""The wheels of a configuration behind an slcan adapter, whichever driver reads them."""
+"""The wheels of a configuration behind a CAN adapter, whichever driver reads them."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
 from urllib.parse import urlsplit
 
 from amr_drivers.can_odometry.cia402.settings import Settings as Cia402Settings
+from amr_drivers.can_odometry.frames import Frame
 from amr_drivers.can_odometry.settings import Settings, WheelSettings
+from amr_drivers.emulators.can_faults import FaultyWire
 from amr_drivers.emulators.cia402 import EmulatedDrives
+from amr_drivers.emulators.multicast import EmulatedMulticast
 from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_drivers.emulators.wheels import EmulatedWheels
 
@@ -17,24 +21,24 @@ from amr_drivers.emulators.wheels import EmulatedWheels
 class EmulatedOdometry:
     """Turns when it is told to, and sends what its encoders count. A context manager.
 
-    Raises ValueError for another interface than slcan or for a DBC file that does not fit, OSError
-    when the port cannot be made.
+    Raises ValueError for another interface than slcan and udp_multicast or for a DBC file that does
+    not fit, OSError when the port cannot be made.
     """
 
     def __init__(self, settings: Settings | Cia402Settings) -> None:
-        if settings.interface != "slcan":
-            raise ValueError(f"{settings.interface} cannot be emulated; slcan can")
+        if settings.interface not in ("slcan", "udp_multicast"):
+            raise ValueError(f"{settings.interface} cannot be emulated; slcan, udp_multicast can")
         self._settings = settings
         self._angles = dict.fromkeys(settings.joints, 0.0)
         if isinstance(settings, Cia402Settings):
             self.drives = EmulatedDrives(settings)
         else:
             self._wheels = EmulatedWheels(settings)
-        if settings.channel.startswith("socket://"):
-            self.adapter = EmulatedSlcan.over_tcp(urlsplit(settings.channel).port or 0)
-        else:
-            Path(settings.channel).parent.mkdir(parents=True, exist_ok=True)
-            self.adapter = EmulatedSlcan(Path(settings.channel))
+        self.adapter = _adapter(settings)
+        self.wire = FaultyWire(self.adapter.send)
+        """What lies between the encoders and the adapter."""
+        self.pass_on: Callable[[Sequence[Frame]], object] = self.wire.send
+        """What the wire does with the frames of each turn."""
 
     def turn(self, *angles_rad: float, dt_s: float) -> int:
         """The joints have come to these angles, evenly within ``dt_s``: tell so.
@@ -56,9 +60,17 @@ class EmulatedOdometry:
                 for name, signal in settings.signals.items()
             ]
             frames = self._wheels.frames(*told)
-        for frame in frames:
-            self.adapter.send(frame)
+        self.pass_on(frames)
         return stamp_ns
+
+    def restart(self) -> None:
+        """The node that counts lost its power where it stands now: it counts from 0 again.
+
+        Raises TypeError for drives, which are restarted one by one.
+        """
+        if isinstance(self._settings, Cia402Settings):
+            raise TypeError("drives are restarted one by one")
+        self._wheels.restart(*self._angles.values())
 
     def close(self) -> None:
         """Remove the port. Idempotent."""
@@ -74,3 +86,12 @@ class EmulatedOdometry:
 def emulate(settings: Settings | Cia402Settings) -> EmulatedOdometry:
     """Stand in for the wheels that these driver settings name."""
     return EmulatedOdometry(settings)
+
+
+def _adapter(settings: Settings | Cia402Settings) -> EmulatedSlcan | EmulatedMulticast:
+    if settings.interface == "udp_multicast":
+        return EmulatedMulticast(settings)
+    if settings.channel.startswith("socket://"):
+        return EmulatedSlcan.over_tcp(urlsplit(settings.channel).port or 0)
+    Path(settings.channel).parent.mkdir(parents=True, exist_ok=True)
+    return EmulatedSlcan(Path(settings.channel))
