@@ -52,6 +52,7 @@ class DaemonProcess:
         """For who kills it, or looks at what it uses."""
         return self._process
 
+    @property
     def pid(self) -> int:
         """Of the daemon, not of its SLAM process."""
         return self._process.pid
