@@ -8,24 +8,40 @@ on to another).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final, Self
 
 import zenoh
 
 from amr_slam.client.session import close_session, declaring, open_session
-from amr_slam.serving import CommandDesk, MapDesk, Put
+from amr_slam.serving import CommandDesk, MapDesk, NotDone, Put, thinned
 from amr_slam.wire import PoseMessage, ScanMessage, StatusMessage, Topic, ZenohSettings, robot_key
 
 _ENCODING: Final = zenoh.Encoding.APPLICATION_JSON
 _MAX_INBOUND_BYTES: Final = 1 << 17  # commands are all that a robot is sent
 
 
+_Selecting = Callable[[bytes, zenoh.Parameters], bytes]
+"""What of the latest message a query asks for; raises NotDone where it asks for nonsense."""
+
+
+def _whole(payload: bytes, _parameters: zenoh.Parameters) -> bytes:
+    return payload
+
+
 class _Topic:
     """Publishes under one key, and answers ``get`` with what was published last."""
 
-    def __init__(self, session: zenoh.Session, key: str, priority: zenoh.Priority) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        key: str,
+        priority: zenoh.Priority,
+        select: _Selecting = _whole,
+    ) -> None:
         self._key = key
+        self._select = select
         self._latest: bytes | None = None
         self._publisher = session.declare_publisher(
             key,
@@ -43,7 +59,12 @@ class _Topic:
         latest = self._latest
         with query:
             if latest is not None:
-                query.reply(self._key, latest, encoding=_ENCODING)
+                try:
+                    query.reply(
+                        self._key, self._select(latest, query.parameters), encoding=_ENCODING
+                    )
+                except NotDone as error:
+                    query.reply_err(str(error).encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
 
 
 class RobotPublisher:
@@ -74,15 +95,22 @@ class RobotPublisher:
         )
         key = partial(robot_key, settings.prefix, robot)
         self._base = f"{settings.prefix}/{robot}"
-        self._desks: tuple[CommandDesk | MapDesk, ...] = ()
+        self._every = settings.fleet_every
+        self._commands: CommandDesk | None = None
+        self._maps: MapDesk | None = None
         with declaring(self._session):
             self._pose = _Topic(self._session, key(Topic.POSE), zenoh.Priority.REAL_TIME)
+            self._fleet_pose = _Topic(
+                self._session, key(Topic.FLEET_POSE), zenoh.Priority.REAL_TIME
+            )
             self._status = _Topic(self._session, key(Topic.STATUS), zenoh.Priority.DATA_LOW)
-            self._scan = _Topic(self._session, key(Topic.SCAN), zenoh.Priority.BACKGROUND)
+            self._scan = _Topic(self._session, key(Topic.SCAN), zenoh.Priority.BACKGROUND, thinned)
             self._alive = self._session.liveliness().declare_token(key(Topic.ALIVE))
 
     def publish_pose(self, message: PoseMessage) -> None:
         self._pose.put(message.encode())
+        if self._every and message.seq % self._every == 0:
+            self._fleet_pose.put(message.model_copy(update={"every": self._every}).encode())
 
     def publish_status(self, message: StatusMessage) -> None:
         self._status.put(message.encode())
@@ -93,15 +121,18 @@ class RobotPublisher:
     def serve(self, put: Put) -> None:
         """From now on, take commands and queries for the map, and have ``put`` do them: it gets
         an :class:`amr_slam.serving.Asked` on another thread and returns at once."""
-        self._desks = (
-            CommandDesk(self._session, self._base, put),
-            MapDesk(self._session, self._base, put),
-        )
+        self._commands = CommandDesk(self._session, self._base, put)
+        self._maps = MapDesk(self._session, self._base, put)
+
+    def command_counts(self) -> Mapping[str, int]:
+        """What became of the commands so far (:class:`amr_slam.wire.StatusMessage`). Any thread."""
+        return {} if self._commands is None else self._commands.counts()
 
     def close(self) -> None:
         """Idempotent. Listeners see the ``alive`` token fall."""
-        for desk in self._desks:
-            desk.close()
+        for desk in (self._commands, self._maps):
+            if desk is not None:
+                desk.close()
         close_session(self._session)
 
     def __enter__(self) -> Self:

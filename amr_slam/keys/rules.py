@@ -1,4 +1,5 @@
-"""Zenoh's access control for a site: what a router lets through from whom to whom. Pure.
+"""Zenoh's access control for a site: what a router lets through from whom to whom, and how much
+of it. Pure.
 
 A message is *ingress* where the router receives it, *egress* where it sends it on. What no rule
 allows is dropped without an answer.
@@ -12,7 +13,8 @@ from typing import Any
 Rules = dict[str, Any]
 
 # What controllers may read by ``get``; commands are not among it.
-_READABLE = ("pose", "status", "scan", "map", "map/**")
+_READABLE = ("pose", "fleet_pose", "status", "scan", "map", "map/**")
+_SMALL = ("pose", "fleet_pose", "status", "scan", "cmd/*")
 
 
 def access_control(
@@ -94,6 +96,27 @@ def access_control(
         "subjects": subjects,
         "policies": policies,
     }
+
+
+def size_limits(prefix: str, max_bytes: int) -> list[Rules]:
+    """The router's ``low_pass_filter``: whatever is larger goes no further. Only maps and their
+    pictures may be."""
+    return [
+        {
+            "id": "messages and arguments",
+            "messages": ["put", "delete", "query"],
+            "flows": ["ingress"],
+            "key_exprs": ["**"],
+            "size_limit": max_bytes,
+        },
+        {
+            "id": "replies",
+            "messages": ["reply"],
+            "flows": ["ingress"],
+            "key_exprs": [f"{prefix}/*/{leaf}" for leaf in _SMALL],
+            "size_limit": max_bytes,
+        },
+    ]
 
 
 def member(*, robot: str | None = None, controller: str | None = None) -> str:

@@ -18,14 +18,15 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
 from amr_slam.keys.authority import KeyPair, issue, new_authority
-from amr_slam.keys.rules import access_control, member
+from amr_slam.keys.rules import access_control, member, size_limits
+from amr_slam.wire import MAX_MAP_BYTES, MAX_MESSAGE_BYTES
 
 _STATE: Final = "site.json"
 _MAX_STATE_BYTES: Final = 4 * 1024 * 1024
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _ROUTER_PORT: Final = 7447
-_MAX_MESSAGE_BYTES: Final = 64 * 1024 * 1024
-"""The largest map that a router passes on."""
+_MAX_PASSED_BYTES: Final = MAX_MAP_BYTES + MAX_MESSAGE_BYTES
+"""A router puts no more together than the largest map and its attachment."""
 
 Auth = Literal["tls", "password"]
 
@@ -179,14 +180,15 @@ class Site:
                 [name for name in state.fleet if name not in commanders],
                 by="cert_common_names" if tls else "usernames",
             ),
+            "low_pass_filter": size_limits(state.prefix, MAX_MESSAGE_BYTES),
         }
         transport: dict[str, object] = {
-            "link": {"rx": {"max_message_size": _MAX_MESSAGE_BYTES}},
+            "link": {"rx": {"max_message_size": _MAX_PASSED_BYTES}},
         }
         if tls:
             own = credentials.Credentials(folder=folder, login=None)
             transport["link"] = {
-                "rx": {"max_message_size": _MAX_MESSAGE_BYTES},
+                "rx": {"max_message_size": _MAX_PASSED_BYTES},
                 "tls": own.options()["transport/link/tls"],
             }
         else:

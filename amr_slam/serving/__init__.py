@@ -16,6 +16,7 @@ from amr_slam.serving.asked import (
 )
 from amr_slam.serving.commands import CommandDesk
 from amr_slam.serving.maps import MapDesk
+from amr_slam.serving.scans import thinned
 
 __all__ = [
     "Asked",
@@ -27,4 +28,5 @@ __all__ = [
     "NotDone",
     "Picture",
     "Put",
+    "thinned",
 ]

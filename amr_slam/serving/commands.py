@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import Counter
+from collections.abc import Mapping
 from typing import Final
 
 import zenoh
@@ -27,8 +29,14 @@ class CommandDesk:
         self._base = f"{base}/cmd"
         self._desk = Desk("commands", put, places=1)
         self._allowance = Allowance(_RATE_HZ, _BURST, time.monotonic())
+        self._counts: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._queryable = session.declare_queryable(f"{self._base}/*", self._on_query)
+
+    def counts(self) -> Mapping[str, int]:
+        """What became of the commands so far, by kind. Any thread."""
+        with self._lock:
+            return dict(self._counts)
 
     def close(self) -> None:
         self._desk.close()
@@ -41,14 +49,14 @@ class CommandDesk:
         try:
             arguments = self._checked(query)
         except WireError as error:
-            self._refuse(query, str(error))
+            self._refuse(query, "invalid", str(error))
             return
         with self._lock:
             allowed = self._allowance.takes(time.monotonic())
         if not allowed:
-            self._refuse(query, f"too many commands: {_RATE_HZ:g} a second is enough")
+            self._refuse(query, "busy", f"too many commands: {_RATE_HZ:g} a second is enough")
         elif not self._desk.enter(lambda: self._perform(query, arguments)):
-            self._refuse(query, "another command is under way")
+            self._refuse(query, "busy", "another command is under way")
 
     def _checked(self, query: zenoh.Query) -> Command:
         key = str(query.key_expr)
@@ -70,12 +78,19 @@ class CommandDesk:
         except NotDone as error:
             reply = CommandReply.refusing(f"{arguments.kind}: {error}")
             _log.info("%s", reply.error)
+            self._count("refused")
         else:
             _log.info("%s: done", arguments.kind)
+            self._count("done")
         return lambda: _reply(query, reply)
 
-    def _refuse(self, query: zenoh.Query, reason: str) -> None:
+    def _refuse(self, query: zenoh.Query, kind: str, reason: str) -> None:
+        self._count(kind)
         _reply(query, CommandReply.refusing(reason))
+
+    def _count(self, kind: str) -> None:
+        with self._lock:
+            self._counts[kind] += 1
 
 
 def _reply(query: zenoh.Query, reply: CommandReply) -> None:
