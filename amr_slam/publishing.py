@@ -15,11 +15,14 @@ from typing import Final, Self
 import zenoh
 
 from amr_slam.client.session import close_session, declaring, open_session
+from amr_slam.lane import Lane
 from amr_slam.serving import CommandDesk, MapDesk, NotDone, Put, thinned
 from amr_slam.wire import PoseMessage, ScanMessage, StatusMessage, Topic, ZenohSettings, robot_key
 
 _ENCODING: Final = zenoh.Encoding.APPLICATION_JSON
 _MAX_INBOUND_BYTES: Final = 1 << 17  # commands are all that a robot is sent
+_WAITING_POSES: Final = 25  # half a second of them
+_WAITING_OTHERS: Final = 4
 
 
 _Selecting = Callable[[bytes, zenoh.Parameters], bytes]
@@ -36,10 +39,12 @@ class _Topic:
     def __init__(
         self,
         session: zenoh.Session,
+        lane: Lane,
         key: str,
         priority: zenoh.Priority,
         select: _Selecting = _whole,
     ) -> None:
+        self._lane = lane
         self._key = key
         self._select = select
         self._latest: bytes | None = None
@@ -53,7 +58,7 @@ class _Topic:
 
     def put(self, payload: bytes) -> None:
         self._latest = payload
-        self._publisher.put(payload)
+        self._lane.put(self._publisher, payload)
 
     def _answer(self, query: zenoh.Query) -> None:
         latest = self._latest
@@ -73,6 +78,10 @@ class RobotPublisher:
     A context manager: a session that is not closed keeps the interpreter from ending. Publishing
     is for one thread and waits for nobody: with a full queue a message is dropped, as the next
     one is better.
+
+    Priorities: poses before all else; no topic shares one with maps (answered at the query's, which
+    is DATA_LOW by :mod:`amr_slam.client` and DATA by default), as who puts at the priority of a map
+    that is under way waits for its end.
     """
 
     def __init__(self, settings: ZenohSettings, robot: str) -> None:
@@ -98,13 +107,14 @@ class RobotPublisher:
         self._every = settings.fleet_every
         self._commands: CommandDesk | None = None
         self._maps: MapDesk | None = None
+        self._poses, self._others = Lane("poses", _WAITING_POSES), Lane("others", _WAITING_OTHERS)
+        topic = partial(_Topic, self._session)
+        real_time = zenoh.Priority.REAL_TIME
         with declaring(self._session):
-            self._pose = _Topic(self._session, key(Topic.POSE), zenoh.Priority.REAL_TIME)
-            self._fleet_pose = _Topic(
-                self._session, key(Topic.FLEET_POSE), zenoh.Priority.REAL_TIME
-            )
-            self._status = _Topic(self._session, key(Topic.STATUS), zenoh.Priority.DATA_LOW)
-            self._scan = _Topic(self._session, key(Topic.SCAN), zenoh.Priority.BACKGROUND, thinned)
+            self._pose = topic(self._poses, key(Topic.POSE), real_time)
+            self._fleet_pose = topic(self._poses, key(Topic.FLEET_POSE), real_time)
+            self._status = topic(self._others, key(Topic.STATUS), zenoh.Priority.INTERACTIVE_LOW)
+            self._scan = topic(self._others, key(Topic.SCAN), zenoh.Priority.BACKGROUND, thinned)
             self._alive = self._session.liveliness().declare_token(key(Topic.ALIVE))
 
     def publish_pose(self, message: PoseMessage) -> None:
@@ -133,6 +143,8 @@ class RobotPublisher:
         for desk in (self._commands, self._maps):
             if desk is not None:
                 desk.close()
+        self._poses.close()
+        self._others.close()
         close_session(self._session)
 
     def __enter__(self) -> Self:

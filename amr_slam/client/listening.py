@@ -109,6 +109,11 @@ class FleetListener:
         with self._changed:
             return dict(self._views)
 
+    def view(self, robot: str) -> RobotView:
+        """One robot, known or not."""
+        with self._changed:
+            return self._views.get(robot) or RobotView(robot=robot)
+
     def wait_for(self, condition: Callable[[dict[str, RobotView]], bool], timeout_s: float) -> bool:
         """Wait until ``condition(views)`` holds; False when it did not in time."""
         with self._changed:
@@ -150,9 +155,6 @@ class FleetListener:
         if pose is not None and self._update(
             pose.robot, pose=pose, pose_received_s=time.monotonic()
         ):
-            with self._changed:
-                self._poses.append(pose)
-                self._changed.notify_all()
             self._on_change(pose.robot)
 
     def _on_status(self, sample: zenoh.Sample) -> None:
@@ -186,10 +188,10 @@ class FleetListener:
 
     def _decoded(self, kind: type[_MessageT], sample: zenoh.Sample) -> _MessageT | None:
         """The message, or None, counted, when it is none or speaks for another robot."""
-        robot = robot_of(str(sample.key_expr))
-        if sample.kind == zenoh.SampleKind.PUT and len(sample.payload) <= MAX_MESSAGE_BYTES:
+        robot, payload = robot_of(str(sample.key_expr)), sample.payload
+        if sample.kind == zenoh.SampleKind.PUT and len(payload) <= MAX_MESSAGE_BYTES:
             with suppress(WireError):
-                message = kind.decode(sample.payload.to_bytes())
+                message = kind.decode(payload.to_bytes())
                 if message.robot == robot:
                     return message
         self._update(robot, refused=1)
@@ -205,6 +207,7 @@ class FleetListener:
                 view = RobotView(robot=robot)
             if "pose" in changes:
                 changes |= _counted(view, changes["pose"])
+                self._poses.append(changes["pose"])
             self._views[robot] = replace(view, refused=view.refused + refused, **changes)
             self._changed.notify_all()
             return True

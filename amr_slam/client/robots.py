@@ -107,11 +107,13 @@ class Fleet:
         future: asyncio.Future[None] = self._loop.create_future()
         waiting = self._waiting.setdefault(robot, set())
         waiting.add(future)
+        # Not asyncio.wait(): that is half of what a message costs a controller of many robots.
+        timer = self._loop.call_later(timeout_s, _set, future)
         try:
-            await asyncio.wait({future}, timeout=timeout_s)
+            await future
         finally:
+            timer.cancel()
             waiting.discard(future)
-            future.cancel()
 
     def _open(self) -> FleetListener:
         return FleetListener(
@@ -138,8 +140,12 @@ class Fleet:
             touched, self._touched = self._touched, set()
         for robot in touched:
             for future in self._waiting.get(robot, ()):
-                if not future.done():
-                    future.set_result(None)
+                _set(future)
+
+
+def _set(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
 
 
 class Robot:
@@ -178,7 +184,7 @@ class Robot:
     @property
     def view(self) -> RobotView:
         """All that is known of it, with the counts of lost and refused messages."""
-        return self._fleet.views().get(self.name, RobotView(robot=self.name))
+        return self._fleet.listener.view(self.name)
 
     @property
     def alive(self) -> bool:

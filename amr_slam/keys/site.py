@@ -25,6 +25,8 @@ _STATE: Final = "site.json"
 _MAX_STATE_BYTES: Final = 4 * 1024 * 1024
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _ROUTER_PORT: Final = 7447
+_LEASE_MS: Final = 1000
+_QUEUE_BATCHES: Final = 16  # as in robots' and controllers' sessions
 _MAX_PASSED_BYTES: Final = MAX_MAP_BYTES + MAX_MESSAGE_BYTES
 """A router puts no more together than the largest map and its attachment."""
 
@@ -182,15 +184,15 @@ class Site:
             ),
             "low_pass_filter": size_limits(state.prefix, MAX_MESSAGE_BYTES),
         }
-        transport: dict[str, object] = {
-            "link": {"rx": {"max_message_size": _MAX_PASSED_BYTES}},
+        link: dict[str, object] = {
+            "rx": {"max_message_size": _MAX_PASSED_BYTES},
+            # Robots see by it that the router hangs, and lose nothing when its machine is busy.
+            "tx": {"lease": _LEASE_MS, "queue": {"size": {"real_time": _QUEUE_BATCHES}}},
         }
+        transport: dict[str, object] = {"link": link}
         if tls:
             own = credentials.Credentials(folder=folder, login=None)
-            transport["link"] = {
-                "rx": {"max_message_size": _MAX_PASSED_BYTES},
-                "tls": own.options()["transport/link/tls"],
-            }
+            link["tls"] = own.options()["transport/link/tls"]
         else:
             dictionary = str(folder / "users.txt")
             transport["auth"] = {"usrpwd": {"dictionary_file": dictionary}}
