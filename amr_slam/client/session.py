@@ -22,7 +22,7 @@ _HANDSHAKE_MS: Final = 2000  # closing waits for one with a frozen router; zenoh
 # Bytes that the kernel takes ahead of a slow link, where nothing overtakes any more. Left to itself
 # it takes megabytes, and poses wait behind a map for seconds (docs/fleet-scale.md).
 _SEND_BUFFERS: Final = {f"transport/link/{link}/so_sndbuf": 1 << 16 for link in ("tcp", "tls")}
-_RETRY: Final = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+_RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
 class SessionError(Exception):
