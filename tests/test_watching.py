@@ -57,18 +57,21 @@ def test_the_age_is_counted_from_the_pose_on() -> None:
 
 
 @pytest.mark.parametrize(
-    ("view", "state"),
+    ("changes", "state"),
     [
-        (view_of(alive=False), "absent"),
-        (RobotView(robot="amr7"), "absent"),
-        (RobotView(robot="amr7", alive=True), "silent"),
-        (view_of(pose=pose_of(state=State.LOST)), "lost"),
-        (view_of(pose_received_s=time.monotonic() - 1000.0), "stale"),
-        (view_of(alive=False, pose_received_s=0.0), "absent"),
+        ({}, "localized"),
+        ({"alive": False}, "absent"),
+        ({"alive": False, "pose": None}, "absent"),
+        ({"pose": None}, "silent"),
+        ({"pose": pose_of(state=State.LOST)}, "lost"),
+        ({"pose_received_s": 0.0}, "stale"),
+        ({"alive": False, "pose_received_s": 0.0}, "absent"),
     ],
 )
-def test_who_is_not_there_or_says_nothing_is_told_apart(view: RobotView, state: str) -> None:
-    assert f" state={state} " in line(row_of(view))
+def test_who_is_not_there_or_says_nothing_is_told_apart(
+    changes: dict[str, object], state: str
+) -> None:
+    assert f" state={state} " in line(row_of(view_of(**changes)))
 
 
 def test_a_line_names_the_map_its_epoch_and_the_time_since_the_last_fix() -> None:
