@@ -19,6 +19,7 @@ from test_keys import free_port, member, router, session, until
 from amr_slam.client import AskingError, CommandRefusedError, Fleet, FleetListener, SessionError
 from amr_slam.keys import create, read_credentials
 from amr_slam.keys.authority import KeyPair, issue
+from amr_slam.keys.rules import access_control
 from amr_slam.keys.site import Site
 from amr_slam.publishing import RobotPublisher
 from amr_slam.serving import Asked
@@ -174,8 +175,13 @@ def ended(keys: Path) -> Path:
     return folder
 
 
-def test_nobody_but_the_robot_answers_for_it(tmp_path: Path, site: Site) -> None:
+@pytest.mark.parametrize("who", ["robots/amr8", "fleet/main", "fleet/board", "fleet/amr7"])
+def test_nobody_but_the_robot_speaks_and_answers_for_it(
+    tmp_path: Path, site: Site, who: str
+) -> None:
     keys = tmp_path / "keys"
+    site.add_controller("amr7", 30, commands=False)  # of the robot's name
+    read: list[str] = []
 
     def answer(query: zenoh.Query) -> None:
         with query:
@@ -183,19 +189,74 @@ def test_nobody_but_the_robot_answers_for_it(tmp_path: Path, site: Site) -> None
 
     with (
         rig(site, keys) as (endpoint, driving, board),
-        session(member(read_credentials(keys / "robots/amr8"), endpoint)) as forger,
+        session(member(read_credentials(keys / who), endpoint)) as forger,
+        FleetListener(endpoint, keys=keys / "fleet/board") as everything,
         undisturbed(driving, board),
     ):
         for key in ("amr/amr7/cmd/*", "amr/amr7/pose", "amr/amr7/map"):
             forger.declare_queryable(key, answer, complete=True)
-        forger.put("amr/amr7/pose", pose_of(seq=10**6).encode())
-        forger.put("amr/amr7/fleet_pose", pose_of(seq=10**6).encode())
+        token = forger.liveliness().declare_token("amr/amr9/alive")
+        if who.startswith("robots/"):
+            forger.declare_subscriber(
+                "amr/**",
+                lambda sample: read.append(str(sample.key_expr)),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+        heard: list[int] = []
+
+        def true_poses_come() -> bool:
+            for key in ("amr/amr7/pose", "amr/amr7/fleet_pose"):
+                forger.put(key, pose_of(seq=10**6).encode())
+            pose = everything.next_pose(0.05)
+            heard.extend([] if pose is None else [pose.seq])
+            return len(heard) >= 30
+
+        until(true_poses_come)
+        assert max(heard) < 10**6
+        assert set(everything.views()) == {"amr7"}
+        assert not read
         assert told(keys, endpoint, "fleet/main", Relocalize()).file is None
         with session(member(read_credentials(keys / "fleet/main"), endpoint)) as asker:
             replies = [reply.ok for reply in asker.get("amr/amr7/pose", timeout=REFUSED_S)]
             (pose,) = [PoseMessage.decode(one.payload.to_bytes()) for one in replies if one]
             assert pose.seq < 10**6
             assert not [r for r in asker.get("amr/amr7/map", timeout=REFUSED_S) if r.ok]
+        token.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub leaves the result open
+
+
+def test_the_rules_are_these_and_no_more() -> None:
+    """Where two rules stand behind each other, no message shows that one of them has gone."""
+    rules = access_control("amr", ["amr7"], ["main"], ["board"], by="cert_common_names")
+    by_id = {rule["id"]: rule for rule in rules["rules"]}
+    members = {one["id"]: one["cert_common_names"] for one in rules["subjects"]}
+    allowed = {
+        (name, flow, message): set(by_id[rule]["key_exprs"])
+        for policy in rules["policies"]
+        for subject in policy["subjects"]
+        for name in members[subject]
+        for rule in policy["rules"]
+        for flow in by_id[rule]["flows"]
+        for message in by_id[rule]["messages"]
+        if rule != "controllers command"
+    }
+    said = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
+    interest = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
+    read = {f"amr/*/{leaf}" for leaf in ("pose", "fleet_pose", "status", "scan", "map", "map/**")}
+    expected: dict[tuple[str, str, str], set[str]] = {
+        **{("robot-amr7", "ingress", one): {"amr/amr7/**"} for one in said},
+        ("robot-amr7", "egress", "query"): {"amr/amr7/**"},
+        **{("robot-amr7", "egress", one): {"**"} for one in interest},
+    }
+    for name in ("fleet-main", "fleet-board"):
+        expected |= {(name, "egress", one): {"amr/**"} for one in said}
+        expected |= {(name, "ingress", one): {"amr/**"} for one in interest}
+        expected[name, "ingress", "query"] = read
+    assert allowed == expected
+    assert {rule["permission"] for rule in rules["rules"]} == {"allow"}
+    assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
+    (commanders,) = [p for p in rules["policies"] if "controllers command" in p["rules"]]
+    assert [members[subject] for subject in commanders["subjects"]] == [["fleet-main"]]
+    assert by_id["controllers command"]["key_exprs"] == ["amr/*/cmd/*"]
 
 
 def test_payloads_that_are_no_commands_are_refused_counted_and_cost_no_pose(

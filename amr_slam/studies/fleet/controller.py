@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import math
 import sys
 import threading
 import time
@@ -65,10 +66,10 @@ class _Measured:
 
 
 def quantiles(values: Sequence[float]) -> list[float]:
-    """Median, 99 % and the largest; nothing of nothing."""
-    ordered = sorted(values)
+    """Median, 99 % and the largest; NaN of nothing."""
+    ordered = sorted(values) or [math.nan]
     last = len(ordered) - 1
-    return [ordered[round(share * last)] for share in (0.5, 0.99, 1.0)] if ordered else []
+    return [ordered[round(share * last)] for share in (0.5, 0.99, 1.0)]
 
 
 async def _follow(robot: Robot, measured: _Measured) -> None:
