@@ -30,7 +30,7 @@ from amr_slam.simulation import ScannerModel, plan_tour, take_scan
 from amr_slam.simulation.halls import hall
 from amr_slam.studies.fleet.measuring import Heard, hear, hear_beside_map
 from amr_slam.studies.fleet.outages import outages
-from amr_slam.studies.fleet.robots import VARIANTS
+from amr_slam.studies.fleet.robots import VARIANTS, pose_bytes
 
 BEGIN: Final = "<!-- fleet: the output of `python benchmarks/fleet.py`, from here -->"
 END: Final = "<!-- fleet: to here -->"
@@ -39,6 +39,8 @@ PROCESSES: Final = 4
 BUSY: Final = 3
 LINK_BITS_PER_S: Final = 20e6
 SCANS: Final = 250
+_OVERHEAD_BYTES: Final = 110
+"""Of a message alone in its packet: Ethernet, IP and TCP (66), TLS (22), Zenoh's header and key."""
 
 
 def main() -> int:
@@ -66,7 +68,9 @@ def measured(*, quick: bool) -> Iterator[str]:
         f"before: {os.getloadavg()[0]:.1f}."
     )
     yield from beside_busy_processes(quick=quick)
-    yield from many_robots(quick=quick)
+    most: list[Heard] = []
+    yield from many_robots(most, quick=quick)
+    yield from arithmetic(most[0])
     yield from beside_a_map()
     yield from after_outages(tries=2 if quick else 10)
 
@@ -89,8 +93,8 @@ def beside_busy_processes(*, quick: bool) -> Iterator[str]:
         )
 
 
-def many_robots(*, quick: bool) -> Iterator[str]:
-    """Until the machine has no more."""
+def many_robots(most: list[Heard], *, quick: bool) -> Iterator[str]:
+    """Until the machine has no more; ``most`` gets what was heard of the most robots."""
     yield f"\n**Robots at 50 Hz in {PROCESSES} processes, one router, one controller**\n"
     yield (
         "| robots | sent 1/s | at the controller 1/s | lost | latency ms, median / p99 / max "
@@ -101,6 +105,7 @@ def many_robots(*, quick: bool) -> Iterator[str]:
     for robots in ROBOTS:
         heard = hear(free_endpoint(), seconds, robots=robots, processes=PROCESSES)
         yield row(str(robots), heard.offered_hz, heard)
+    most.append(heard)
     heard = hear(free_endpoint(), seconds, robots=ROBOTS[-1], processes=PROCESSES, every_nth=True)
     yield row(f"{ROBOTS[-1]}, by `fleet_pose`", heard.offered_hz, heard)
 
@@ -112,6 +117,32 @@ def row(name: str, offered_hz: float, heard: Heard) -> str:
         f"| {name} | {offered_hz:.0f} | {heard.rate_hz:.0f} | {heard.lost} | {latencies(heard)} "
         f"| {used} | {heard.memory_mb_each:.1f} |"
     )
+
+
+def arithmetic(most: Heard) -> Iterator[str]:
+    """What larger fleets come to, by the processor time of a message as measured here."""
+    size = pose_bytes() + _OVERHEAD_BYTES
+    router_s, controller_s = (
+        most.cpu_percent[part] / 100.0 / most.rate_hz for part in ("router", "controller")
+    )
+    yield (
+        f"\n**What this comes to**: {pose_bytes()} bytes a pose, {_OVERHEAD_BYTES} more on the "
+        f"wire; {1e6 * router_s:.0f} us of processor time a message in the router and "
+        f"{1e6 * controller_s:.0f} us in the controller.\n"
+    )
+    yield "| followed | messages 1/s | Mbit/s | processors for routing | for a Python controller |"
+    yield "|---|--:|--:|--:|--:|"
+    for what, rate_hz in (
+        ("100 robots, every pose (50 Hz)", 100 * 50.0),
+        ("100 robots, `fleet_pose` (5 Hz)", 100 * 5.0),
+        ("10,000 robots, every pose", 10_000 * 50.0),
+        ("10,000 robots, `fleet_pose`", 10_000 * 5.0),
+        ("10,000 robots, thinned to 1 Hz by the halls' routers", 10_000 * 1.0),
+    ):
+        yield (
+            f"| {what} | {rate_hz:,.0f} | {8e-6 * size * rate_hz:,.1f} | {router_s * rate_hz:,.2f} "
+            f"| {controller_s * rate_hz:,.2f} |"
+        )
 
 
 def beside_a_map() -> Iterator[str]:

@@ -251,6 +251,8 @@ def test_the_rules_are_these_and_no_more() -> None:
         expected |= {(name, "egress", one): {"amr/**"} for one in said}
         expected |= {(name, "ingress", one): {"amr/**"} for one in interest}
         expected[name, "ingress", "query"] = read
+    for flow in ("ingress", "egress"):
+        expected |= {("router", flow, one): {"**"} for one in (*said, *interest, "query")}
     assert allowed == expected
     assert {rule["permission"] for rule in rules["rules"]} == {"allow"}
     assert (rules["enabled"], rules["default_permission"]) == (True, "deny")
@@ -335,6 +337,32 @@ def test_the_router_passes_no_large_message_and_every_map(tmp_path: Path, site: 
         (reply,) = [one.ok for one in main.get("amr/amr7/map", timeout=DEADLINE_S) if one.ok]
         assert len(reply.payload) == 3_000_000
         assert not [one for one in main.get("amr/amr7/status", timeout=REFUSED_S) if one.ok]
+
+
+def test_linked_routers_pass_poses_and_commands_on_by_the_same_rules(
+    tmp_path: Path, site: Site
+) -> None:
+    keys = tmp_path / "keys"
+    settings = json.loads((site.router_folder / "router.json5").read_text())
+    site_endpoint = f"tls/127.0.0.1:{free_port()}"
+    settings["listen"]["endpoints"] = [site_endpoint]
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))):
+        hall_endpoint = f"tls/127.0.0.1:{free_port()}"
+        settings["listen"]["endpoints"] = [hall_endpoint]
+        settings["connect"] = {"endpoints": [site_endpoint]}
+        with zenoh.open(zenoh.Config.from_json5(json.dumps(settings))):
+            driving = Driving(hall_endpoint, keys)
+            try:
+                with FleetListener(site_endpoint, ["amr7"], keys=keys / "fleet/board") as board:
+                    assert board.wait_for(
+                        lambda views: views["amr7"].alive and views["amr7"].poses > 10, DEADLINE_S
+                    )
+                    assert told(keys, site_endpoint, "fleet/main", Relocalize()).ok
+                    with pytest.raises(AskingError, match="no answer"):
+                        told(keys, site_endpoint, "fleet/board", Relocalize())
+                    assert len(driving.asked) == 1
+            finally:
+                driving.close()
 
 
 def test_the_router_without_its_key_does_not_come_up(tmp_path: Path, site: Site) -> None:

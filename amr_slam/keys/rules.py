@@ -14,6 +14,12 @@ Rules = dict[str, Any]
 
 # What controllers may read by ``get``; commands are not among it.
 _READABLE = ("pose", "fleet_pose", "status", "scan", "map", "map/**")
+ROUTER = "router"
+"""Common name of the routers of a site; members' begin otherwise."""
+_ALL = (
+    "put", "delete", "query", "reply", "declare_subscriber", "declare_queryable",
+    "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
+)  # fmt: skip
 _SMALL = ("pose", "fleet_pose", "status", "scan", "cmd/*")
 
 
@@ -89,6 +95,11 @@ def access_control(
         let("commanders", names, (listens, asks, hear, command))
     if watchers:
         let("watchers", [member(controller=name) for name in watchers], (listens, asks, hear))
+    if by == "cert_common_names":
+        # A router of the site has judged by the same rules what it passes on.
+        passes = allow("routers pass on", _ALL, "ingress", ("**",))
+        takes = allow("routers take", _ALL, "egress", ("**",))
+        let("routers", (ROUTER,), (passes, takes))
     return {
         "enabled": True,
         "default_permission": "deny",

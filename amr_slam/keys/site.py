@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
 from amr_slam.keys.authority import KeyPair, issue, new_authority
-from amr_slam.keys.rules import access_control, member, size_limits
+from amr_slam.keys.rules import ROUTER, access_control, member, size_limits
 from amr_slam.wire import MAX_MAP_BYTES, MAX_MESSAGE_BYTES
 
 _STATE: Final = "site.json"
@@ -156,7 +156,7 @@ class Site:
     def renew_router(self, days: int) -> None:
         """New keys for the router."""
         hosts = list(dict.fromkeys([*self._state.router_hosts, "localhost", "127.0.0.1"]))
-        self._write_pair(self.router_folder, "router", hosts, days)
+        self._write_pair(self.router_folder, ROUTER, hosts, days)
 
     def save(self) -> None:
         """Write the site's state and the router's configuration."""

@@ -119,6 +119,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
+def pose_bytes() -> int:
+    """Of one pose, as JSON."""
+    return len(_pose(name_of(0), 12_345).encode())
+
+
 def name_of(number: int) -> str:
     """``amr0001`` and so on."""
     return f"amr{number:04d}"
