@@ -20,27 +20,57 @@ import zenoh.ext
 from amr_slam.client.session import close_session, declaring, open_session
 from amr_slam.encodings import Encoded, Encoder, Lane, MapPicture, Outlet
 from amr_slam.map.export import png_pixels
-from amr_slam.serving import CommandDesk, Desk, InletDesk, MapDesk, MapTeller, Picture, Put
+from amr_slam.sender import Sender
+from amr_slam.serving import (
+    CommandDesk,
+    Desk,
+    InletDesk,
+    MapDesk,
+    MapTeller,
+    NotDone,
+    Picture,
+    Put,
+    thinned,
+)
 from amr_slam.wire import PoseMessage, ScanMessage, StatusMessage, Topic, ZenohSettings, robot_key
 
 _JSON: Final = "application/json"
 _MAX_INBOUND_BYTES: Final = 1 << 17  # commands are all that a robot is sent
+_WAITING_POSES: Final = 25  # half a second of them
+_WAITING_OTHERS: Final = 4
 _HEARTBEAT_S: Final = 5.0
 """Between the numbers of the newest message on a latched key: who has lost it asks for it."""
 _PRIORITIES: Final[Mapping[Lane, zenoh.Priority]] = MappingProxyType(
     {
         Lane.POSE: zenoh.Priority.REAL_TIME,
-        Lane.STATUS: zenoh.Priority.DATA_LOW,
+        Lane.STATUS: zenoh.Priority.INTERACTIVE_LOW,
         Lane.SCAN: zenoh.Priority.BACKGROUND,
         Lane.MAP: zenoh.Priority.DATA_LOW,
     }
 )
 
 
+_Selecting = Callable[[bytes, zenoh.Parameters], bytes]
+"""What of the latest message a query asks for; raises NotDone where it asks for nonsense."""
+
+
+def _whole(payload: bytes, _parameters: zenoh.Parameters) -> bytes:
+    return payload
+
+
 class _Topic:
     """Publishes under one key, and answers ``get`` with what was published last."""
 
-    def __init__(self, session: zenoh.Session, outlet: Outlet) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        outlet: Outlet,
+        sender: Sender | None,
+        select: _Selecting = _whole,
+    ) -> None:
+        """``sender``: puts instead of whoever calls :meth:`put`, who has no time to wait."""
+        self._sender = sender
+        self._select = select
         self._key = outlet.key
         self._encoding = zenoh.Encoding(outlet.encoding)
         self._latest: tuple[bytes, bytes | None] | None = None
@@ -52,14 +82,23 @@ class _Topic:
     def put(self, payload: bytes, attachment: bytes | None = None) -> None:
         if self._queryable is not None:
             self._latest = payload, attachment
-        self._publisher.put(payload, attachment=attachment)
+        send = partial(self._publisher.put, payload, attachment=attachment)
+        if self._sender is None:
+            send()
+        else:
+            self._sender.send(send)
 
     def _answer(self, query: zenoh.Query) -> None:
         latest = self._latest
         with query:
             if latest is not None:
                 payload, attachment = latest
-                query.reply(self._key, payload, encoding=self._encoding, attachment=attachment)
+                try:
+                    selected = self._select(payload, query.parameters)
+                except NotDone as error:
+                    query.reply_err(str(error).encode(), encoding=zenoh.Encoding.TEXT_PLAIN)
+                else:
+                    query.reply(self._key, selected, encoding=self._encoding, attachment=attachment)
 
 
 def _publisher(
@@ -92,6 +131,10 @@ class RobotPublisher:
     A context manager: a session that is not closed keeps the interpreter from ending. Publishing
     is for one thread and waits for nobody: with a full queue a message is dropped, as the next
     one is better.
+
+    Priorities: poses before all else; no topic shares one with maps (answered at the query's, which
+    is DATA_LOW by :mod:`amr_slam.client` and DATA by default), as who puts at the priority of a map
+    that is under way waits for its end.
     """
 
     def __init__(
@@ -123,17 +166,16 @@ class RobotPublisher:
         self._teller: MapTeller | None = None
         self._pictures = 0
         self._encoders = tuple(encoders)
-        own = {Topic.POSE: Lane.POSE, Topic.STATUS: Lane.STATUS, Topic.SCAN: Lane.SCAN}
+        self._every = settings.fleet_every
+        poses, others = Sender("poses", _WAITING_POSES), Sender("others", _WAITING_OTHERS)
+        self._senders = {Lane.POSE: poses, Lane.STATUS: others, Lane.SCAN: others}
         with declaring(self._session):
-            self._pose, self._status, self._scan = (
-                _Topic(
-                    self._session,
-                    Outlet(key=key(topic), encoding=_JSON, lane=lane, answers=True),
-                )
-                for topic, lane in own.items()
-            )
+            self._pose = self._topic(key(Topic.POSE), Lane.POSE)
+            self._fleet_pose = self._topic(key(Topic.FLEET_POSE), Lane.POSE)
+            self._status = self._topic(key(Topic.STATUS), Lane.STATUS)
+            self._scan = self._topic(key(Topic.SCAN), Lane.SCAN, thinned)
             self._further = {
-                outlet.key: _Topic(self._session, outlet)
+                outlet.key: _Topic(self._session, outlet, self._senders.get(outlet.lane))
                 for encoder in self._encoders
                 for outlet in encoder.outlets
             }
@@ -142,6 +184,14 @@ class RobotPublisher:
                 for token in (key(Topic.ALIVE), *self._further_tokens())
             ]
 
+    def _topic(self, key: str, lane: Lane, select: _Selecting = _whole) -> _Topic:
+        outlet = Outlet(key=key, encoding=_JSON, lane=lane, answers=True)
+        return _Topic(self._session, outlet, self._senders[lane], select)
+
+    def command_counts(self) -> Mapping[str, int]:
+        """What became of the commands so far (:class:`amr_slam.wire.StatusMessage`). Any thread."""
+        return {} if self._commands is None else self._commands.counts()
+
     @property
     def refused(self) -> int:
         """How many payloads came in on the encoders' inlets and were not done."""
@@ -149,6 +199,8 @@ class RobotPublisher:
 
     def publish_pose(self, message: PoseMessage) -> None:
         self._pose.put(message.encode())
+        if self._every and message.seq % self._every == 0:
+            self._fleet_pose.put(message.model_copy(update={"every": self._every}).encode())
         for encoder in self._encoders:
             self._put_all(encoder.pose(message))
 
@@ -193,6 +245,8 @@ class RobotPublisher:
         """Idempotent. Listeners see the ``alive`` token fall."""
         for desk in self._desks:
             desk.close()
+        for sender in set(self._senders.values()):
+            sender.close()
         close_session(self._session)
 
     def _tell_map(self, picture: Picture) -> None:

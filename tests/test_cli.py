@@ -11,6 +11,7 @@ import sys
 import types
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -481,21 +482,27 @@ def test_run_and_check_hand_over_to_the_service(
 
 
 def test_watch_asks_whom_it_is_told_to(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[tuple[str, list[str], Path | None]] = []
+    seen: list[tuple[str, list[str], dict[str, Any]]] = []
+    usual = {"prefix": "amr", "keys": None, "sort": "name", "form": "text", "once": False}
 
-    def watch(endpoint: str, robots: list[str], *, keys: Path | None) -> None:
-        seen.append((endpoint, robots, keys))
+    def watch(endpoint: str, robots: list[str], **options: Any) -> None:
+        seen.append((endpoint, robots, options))
         if robots:
             raise SessionError(f"nobody at {endpoint}")
 
     monkeypatch.setattr(fleet, "watch", watch)
     assert amr_slam("watch").status == 0
-    done = amr_slam("watch", "--connect", "tcp/10.0.0.7:7447", "--keys", "k", "amr7", "amr8")
+    to = ["--connect", "tcp/10.0.0.7:7447", "--keys", "k", "--prefix", "works"]
+    done = amr_slam("watch", *to, "--sort", "state", "--json", "--once", "amr7", "amr8")
     assert done.status == 1
     assert error_line(done) == "nobody at tcp/10.0.0.7:7447"
     assert seen == [
-        (DEFAULT_ENDPOINT, [], None),
-        ("tcp/10.0.0.7:7447", ["amr7", "amr8"], Path("k")),
+        (DEFAULT_ENDPOINT, [], usual),
+        (
+            "tcp/10.0.0.7:7447",
+            ["amr7", "amr8"],
+            {"prefix": "works", "keys": Path("k"), "sort": "state", "form": "json", "once": True},
+        ),
     ]
 
 

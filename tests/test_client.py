@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import pytest
 import zenoh
@@ -28,6 +29,9 @@ from amr_slam.client import (
     Robot,
     SessionError,
     StalePoseError,
+    ask_map,
+    ask_map_image,
+    call,
 )
 from amr_slam.publishing import RobotPublisher
 from amr_slam.wire import (
@@ -36,6 +40,7 @@ from amr_slam.wire import (
     MapPart,
     Relocalize,
     SaveMap,
+    ScanMessage,
     WireError,
     ZenohSettings,
     command_of,
@@ -230,6 +235,104 @@ def test_commands_and_maps(endpoint: str) -> None:
             with pytest.raises(AskingError, match="more than 1000 bytes"):
                 await robot.map(PATIENT_S, max_bytes=1000)
             assert await robot.map_image(PATIENT_S) == (b"PNG", IMAGE)
+
+    with answering(endpoint):
+        run(work)
+
+
+def scan_of(seq: int, points: int = 100) -> ScanMessage:
+    placed = tuple((0.1 * n, float(seq)) for n in range(points))
+    return ScanMessage(robot="amr7", seq=seq, stamp=1.0 * seq, map=MAP_ID, epoch=2, points=placed)
+
+
+def test_scans_come_as_they_are_published_and_thinned_when_asked_for(endpoint: str) -> None:
+    stop = threading.Event()
+
+    def drive(publisher: RobotPublisher) -> None:
+        seq = 0
+        while not stop.wait(0.02):
+            publisher.publish_scan(scan_of(seq))
+            seq += 1
+
+    async def work() -> None:
+        async with Robot("amr7", endpoint=endpoint) as robot:
+            seen: list[ScanMessage] = []
+            scans = robot.scans()
+            async for scan in scans:
+                seen.append(scan)
+                if len(seen) == 3:
+                    break
+            await scans.aclose()  # type: ignore[attr-defined]  # a generator, typed as iterator
+            assert [scan.seq for scan in seen] == sorted({scan.seq for scan in seen})
+            assert seen[0] == scan_of(seen[0].seq)
+            thin = await robot.scan(points=10, timeout_s=PATIENT_S)
+            assert thin.points == scan_of(thin.seq).points[::10]
+            assert len((await robot.scan(points=2000, timeout_s=PATIENT_S)).points) == 100
+            for nonsense in (0, 2001, -1):
+                with pytest.raises(AskingError, match="points should be a number from 1 to 2000"):
+                    await robot.scan(points=nonsense, timeout_s=PATIENT_S)
+
+    with RobotPublisher(ZenohSettings(listen=(endpoint,)), "amr7") as publisher:
+        thread = threading.Thread(target=drive, args=(publisher,))
+        thread.start()
+        try:
+            run(work)
+        finally:
+            stop.set()
+            thread.join()
+
+
+def test_scans_end_when_the_robot_is_gone_and_there_is_none_before_the_first(
+    endpoint: str,
+) -> None:
+    async def work(process: subprocess.Popen[str]) -> None:
+        async with Robot("amr7", endpoint=endpoint) as robot:
+            async for _ in robot.poses(PATIENT_S):
+                break
+            with pytest.raises(AskingError, match="amr/amr7/scan: no answer"):
+                await robot.scan(points=10, timeout_s=PATIENT_S)
+            process.kill()
+            with pytest.raises(StalePoseError, match="amr7: gone"):
+                async for _ in robot.scans():
+                    pass
+
+    with robot_process(endpoint) as process:
+        run(lambda: work(process))
+
+
+class Noting:
+    """A session that notes the priority of what is asked."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        self.priorities: list[zenoh.Priority] = []
+        self._session = session
+
+    def get(self, *arguments: Any, **options: Any) -> Any:
+        self.priorities.append(options["priority"])
+        return self._session.get(*arguments, **options)
+
+
+def test_maps_are_asked_for_behind_poses_and_commands(endpoint: str) -> None:
+    with answering(endpoint), session("client", connect=[endpoint]) as opened:
+        noting: Any = Noting(opened)
+        ask_map(noting, "amr", "amr7", PATIENT_S)
+        ask_map_image(noting, "amr", "amr7", PATIENT_S)
+        call(noting, "amr", "amr7", Relocalize(), PATIENT_S)
+    # A reply goes at the priority of its query; poses go at REAL_TIME (test_publishing).
+    assert noting.priorities == [
+        zenoh.Priority.DATA_LOW,
+        zenoh.Priority.DATA_LOW,
+        zenoh.Priority.DATA_HIGH,
+    ]
+
+
+def test_a_name_that_makes_no_key_costs_its_scans_only(endpoint: str) -> None:
+    async def work() -> None:
+        async with Fleet(endpoint) as fleet:
+            with pytest.raises(SessionError, match="zenoh: "):
+                async for _ in fleet.robot("amr7//x").scans():
+                    pass
+            assert (await fleet.robot("amr7").call(Relocalize(), PATIENT_S)).ok
 
     with answering(endpoint):
         run(work)

@@ -9,8 +9,9 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime, timedelta
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 import zenoh
@@ -182,6 +183,23 @@ def test_the_revoked_are_not_heard_any_more(tmp_path: Path, site: Site, auth: Au
 
             until(both_spoke)
             assert set(heard) == {"amr8"}
+
+
+@pytest.mark.parametrize("kind", ["robot", "fleet"])
+def test_of_the_revoked_nothing_is_left(tmp_path: Path, kind: Literal["robot", "fleet"]) -> None:
+    site = create(tmp_path / "keys", "hall3", ["10.0.0.1"])
+    add = site.add_robot if kind == "robot" else partial(site.add_controller, commands=True)
+    for name in ("kept", "gone"):
+        add(name, 30)
+    folder = {member.name: member.folder for member in site.members()}["gone"]
+    site.revoke(kind, "gone")
+    for known in (site, load(tmp_path / "keys")):
+        assert [member.name for member in known.members()] == ["kept"]
+    rules = (site.router_folder / "router.json5").read_text()
+    assert f"{kind}-kept" in rules
+    assert f"{kind}-gone" not in rules
+    assert not (folder / "key.pem").exists()
+    assert not (folder / "cert.pem").exists()
 
 
 def test_private_files_are_private_and_nothing_is_made_anew(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -148,6 +149,72 @@ def test_poses_come_in_order_and_none_is_lost_on_loopback(endpoint: str) -> None
         assert fleet.next_pose(0.0) is None
 
 
+@pytest.mark.parametrize("every", [5, 0])
+def test_every_nth_pose_goes_out_for_the_fleet_and_its_gaps_are_no_losses(
+    endpoint: str, every: int
+) -> None:
+    settings = ZenohSettings(listen=(endpoint,), fleet_every=every)
+    with (
+        RobotPublisher(settings, "amr7") as robot,
+        FleetListener(endpoint, ["amr7"], full_rate=False) as fleet,
+        FleetListener(endpoint, ["amr7"]) as vehicle,
+    ):
+        sent = iter(range(10_000))
+
+        def publish() -> None:
+            robot.publish_pose(pose_of(seq=next(sent)))
+
+        repeat_until(publish, lambda: vehicle.views()["amr7"].poses >= 50)
+        if not every:
+            assert fleet.views()["amr7"].poses == 0
+            return
+        repeat_until(publish, lambda: fleet.views()["amr7"].poses >= 10)
+        view = fleet.views()["amr7"]
+        heard = [pose.seq for pose in iter(lambda: fleet.next_pose(0.0), None)]
+        assert heard == list(range(heard[0], heard[-1] + 1, every))
+        assert heard[0] % every == 0
+        assert view.pose is not None
+        assert (view.pose.every, view.lost, view.refused) == (every, 0, 0)
+
+
+def test_a_pose_that_is_lost_of_every_nth_is_counted_once(endpoint: str) -> None:
+    with (
+        session("peer", listen=[endpoint]) as network,
+        FleetListener(endpoint, ["amr7"], full_rate=False) as fleet,
+    ):
+
+        def put(seq: int) -> None:
+            network.put("amr/amr7/fleet_pose", pose_of(seq=seq, every=10).encode())
+
+        repeat_until(lambda: put(0), lambda: fleet.views()["amr7"].poses > 0)
+        for seq in (10, 20, 50, 60):  # 30 and 40 are missing
+            put(seq)
+        assert fleet.wait_for(lambda views: (views["amr7"].pose or pose_of()).seq == 60, DEADLINE_S)
+        assert fleet.views()["amr7"].lost == 2
+
+
+def test_who_comes_late_has_the_pose_and_the_status_at_once(endpoint: str) -> None:
+    stop = threading.Event()
+    with RobotPublisher(ZenohSettings(listen=(endpoint,)), "amr7") as robot:
+        robot.publish_status(status_of(seq=5))  # and not again
+
+        def drive() -> None:
+            seq = 0
+            while not stop.wait(0.02):
+                robot.publish_pose(pose_of(seq=seq))
+                seq += 1
+
+        thread = threading.Thread(target=drive)
+        thread.start()
+        try:
+            with FleetListener(endpoint) as late:
+                assert late.wait_for(lambda v: "amr7" in v and both(v["amr7"]), DEADLINE_S)
+                assert late.views()["amr7"].status == status_of(seq=5)
+        finally:
+            stop.set()
+            thread.join()
+
+
 def test_the_oldest_poses_go_when_nobody_takes_them(endpoint: str) -> None:
     with (
         RobotPublisher(ZenohSettings(listen=(endpoint,)), "amr7") as robot,
@@ -196,12 +263,13 @@ def test_poses_go_drop_with_a_priority_of_their_own_and_no_express(endpoint: str
             robot.publish_pose(pose_of())
             robot.publish_status(status_of())
 
-        repeat_until(publish, lambda: len(seen) == 2)
+        repeat_until(publish, lambda: len(seen) == 3)
     sent, status = seen["site/amr/amr7/pose"], seen["site/amr/amr7/status"]
-    assert sent.priority == zenoh.Priority.REAL_TIME
-    assert sent.congestion_control == zenoh.CongestionControl.DROP
-    assert not sent.express
-    assert sent.encoding == zenoh.Encoding.APPLICATION_JSON
+    for poses in (sent, seen["site/amr/amr7/fleet_pose"]):
+        assert poses.priority == zenoh.Priority.REAL_TIME
+        assert poses.congestion_control == zenoh.CongestionControl.DROP
+        assert not poses.express
+        assert poses.encoding == zenoh.Encoding.APPLICATION_JSON
     assert status.priority != sent.priority
     assert status.congestion_control == zenoh.CongestionControl.DROP
 

@@ -20,7 +20,7 @@ from messages import pose_of, status_of
 from amr_slam.client import FleetListener
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
-from amr_slam.wire import ZenohSettings
+from amr_slam.wire import CommandReply, ZenohSettings
 
 DEADLINE_S = 20.0
 LISTENER = """
@@ -135,13 +135,53 @@ def test_watch_prints_a_line_for_each_robot_until_ctrl_c(endpoint: str) -> None:
             first = line_of(watch)
         assert re.fullmatch(
             r"\S+ amr7 state=odometry_only x_m=1\.500 y_m=-2\.250 theta_deg=28\.65 "
-            r"error95_m=0\.050 age_s=\d+\.\d\d health=front: standby\n",
+            r"error95_m=0\.050 age_s=\d+\.\d\d fix_s=1\.5 rate_Hz=\S+ map=hall epoch=2 "
+            r"health=front: standby\n",
             first,
         )
         assert re.fullmatch(r"\S+ amr8 state=absent .*\n", line_of(watch))
         watch.send_signal(signal.SIGINT)
         _, said = watch.communicate(timeout=DEADLINE_S)
         assert (watch.returncode, said) == (130, "")
+
+
+def test_watch_once_shows_what_there_is_and_ends(endpoint: str) -> None:
+    settings = ZenohSettings(listen=(endpoint,), prefix="works/hall3")
+    shared = ["-m", "amr_slam", "watch", "--connect", endpoint, "--prefix", "works/hall3", "--once"]
+    with RobotPublisher(settings, "amr7") as robot, driving(robot):
+        with python(*shared) as watch:
+            shown, said = watch.communicate(timeout=DEADLINE_S)
+        assert (watch.returncode, said) == (0, "")
+        assert re.search(
+            r"amr7 .*odometry_only .* 1\.500 .* -2\.250 .* hall .* front: standby", shown
+        )
+        assert "\x1b" not in shown
+        with python(*shared, "--json", "amr7", "amr8") as watch:
+            shown, said = watch.communicate(timeout=DEADLINE_S)
+        assert (watch.returncode, said) == (0, "")
+        first, second = map(json.loads, shown.splitlines())
+        assert (first["robot"], first["state"], first["pose"]["x"]) == (
+            "amr7",
+            "odometry_only",
+            1.5,
+        )
+        assert first["status"]["map"]["name"] == "hall"
+        assert first["rate_hz"] > 0.0
+        assert (second["robot"], second["state"], second["pose"]) == ("amr8", "absent", None)
+
+
+def test_call_and_watch_look_under_the_prefix_they_are_given(endpoint: str) -> None:
+    settings = ZenohSettings(listen=(endpoint,), prefix="works/hall3")
+    with RobotPublisher(settings, "amr7") as robot:
+        robot.serve(lambda asked: asked.done(CommandReply(ok=True)))
+        call = ["-m", "amr_slam", "call", "--connect", endpoint, "--timeout", "5"]
+        with python(*call, "--prefix", "works/hall3", "amr7", "relocalize") as there:
+            shown, said = there.communicate(timeout=DEADLINE_S)
+        assert (there.returncode, json.loads(shown)["ok"], said) == (0, True, "")
+        with python(*call, "amr7", "relocalize") as nowhere:
+            shown, said = nowhere.communicate(timeout=DEADLINE_S)
+        assert (nowhere.returncode, shown) == (1, "")
+        assert said == "amr-slam: error: amr/amr7/cmd/relocalize: no answer\n"
 
 
 def test_watch_says_that_nobody_is_there(endpoint: str) -> None:

@@ -82,7 +82,7 @@ def test_poses_status_and_a_clean_stop(robot: Robot, tmp_path: Path) -> None:
         assert all(pose.error95_m < 0.5 for pose in poses)
 
         answers = answers_of(daemon.endpoint)
-        assert set(answers["pose"]) == POSE_FIELDS | {"epoch_delta"}
+        assert set(answers["pose"]) == POSE_FIELDS | {"epoch_delta", "every"}
         assert answers["pose"]["robot"] == ROBOT
         assert answers["status"]["scanners"].keys() == {"front", "rear"}
         assert daemon.fleet is not None

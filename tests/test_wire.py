@@ -48,7 +48,7 @@ POSE_FIELDS = {
     "covariance", "error95_m", "state", "since_fix_s", "since_fix_m", "odom", "fault",
 }  # fmt: skip
 """As contracted."""
-ADDED = {"epoch_delta"}
+ADDED = {"epoch_delta", "every"}
 """Since then: absent in messages of earlier versions."""
 MAP_ID = str(uuid.UUID(int=7))
 derandomized = settings(derandomize=True, deadline=None, max_examples=100)
@@ -166,6 +166,7 @@ def test_a_pose_has_the_contracts_fields_and_the_estimates_values() -> None:
         "odom": {"x": 0.5, "y": 0.25, "theta": -0.125},
         "fault": "front LOST",
         "epoch_delta": {"x": 0.5, "y": -0.25, "theta": 0.125},
+        "every": 1,
     }
     assert message().epoch_delta is None
     assert set(PoseMessage.model_fields) == POSE_FIELDS | ADDED
@@ -355,6 +356,18 @@ def test_schemas_are_json_and_name_every_field() -> None:
 def test_a_robots_name_is_found_in_its_keys() -> None:
     assert robot_key("works/amr", "amr7", "pose") == "works/amr/amr7/pose"
     assert robot_of("works/amr/amr7/pose") == "amr7"
+
+
+@derandomized
+@given(count=st.integers(0, 50), most=st.integers(1, 60))
+def test_a_thinned_scan_keeps_the_order_and_the_bound(count: int, most: int) -> None:
+    whole = scan(np.column_stack((np.arange(float(count)), np.zeros(count))))
+    thin = whole.thinned(most)
+    assert len(thin.points) <= most
+    assert len(thin.points) >= min(count, (most + 1) // 2)
+    assert list(thin.points) == sorted(thin.points)
+    assert set(thin.points) <= set(whole.points)
+    assert thin.points[:1] == whole.points[:1]
 
 
 def scan(points: Array, map_id: str | None = MAP_ID) -> ScanMessage:

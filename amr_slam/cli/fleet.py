@@ -21,7 +21,15 @@ def run(arguments: argparse.Namespace) -> int:
     endpoint = arguments.connect or DEFAULT_ENDPOINT
     if arguments.command == "call":
         return _call(arguments, endpoint)
-    watch(endpoint, arguments.robots, keys=arguments.keys)
+    watch(
+        endpoint,
+        arguments.robots,
+        prefix=arguments.prefix,
+        keys=arguments.keys,
+        sort=arguments.sort,
+        form="json" if arguments.json else "text",
+        once=arguments.once,
+    )
     return 0
 
 
@@ -32,7 +40,7 @@ def _call(arguments: argparse.Namespace, endpoint: str) -> int:
         raise UsageError(str(error)) from error
     session = open_client(endpoint, arguments.keys, _CONNECT_TIMEOUT_S)
     try:
-        reply = call(session, "amr", arguments.robot, command, arguments.timeout)
+        reply = call(session, arguments.prefix, arguments.robot, command, arguments.timeout)
     finally:
         close_session(session)
     sys.stdout.write(reply.encode().decode() + "\n")

@@ -345,9 +345,18 @@ def _add_watch(commands: Subparsers[_Parser]) -> None:
         "watch",
         "live table of the robots on Zenoh, until Ctrl-C",
         "amr-slam watch --connect tcp/192.168.1.20:7447 amr7",
-        "One line a second and robot where standard output is no terminal.",
+        "Red is not to be driven by: a robot whose poses stop is stale after half a second. One "
+        "line a second and robot where standard output is no terminal.",
     )
     _add_session(watch)
+    watch.add_argument(
+        "--sort",
+        choices=("name", "state", "error", "age"),
+        default="name",
+        help="by name (default), or with what needs a look first",
+    )
+    watch.add_argument("--once", action="store_true", help="show what there is, and end")
+    watch.add_argument("--json", action="store_true", help="lines of JSON: all that is known")
     watch.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
 
 
@@ -382,6 +391,9 @@ def _add_session(parser: _Parser) -> None:
     )
     parser.add_argument(
         "--keys", metavar="FOLDER", type=Path, help="what 'amr-slam keys fleet NAME' wrote"
+    )
+    parser.add_argument(
+        "--prefix", default="amr", help="first part of the robots' keys (default amr)"
     )
 
 

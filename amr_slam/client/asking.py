@@ -13,6 +13,7 @@ from amr_slam.wire import (
     Command,
     CommandReply,
     MapImage,
+    ScanMessage,
     Topic,
     WireError,
     command_key,
@@ -20,6 +21,8 @@ from amr_slam.wire import (
 )
 
 _MAX_ERROR: Final = 200
+_BULK: Final = zenoh.Priority.DATA_LOW
+"""A reply goes at its query's priority: what is large must not stand before the poses."""
 
 
 class AskingError(Exception):
@@ -52,7 +55,7 @@ def ask_map(
 ) -> bytes:
     """The active map as .amrmap, ``max_bytes`` at most. Raises AskingError."""
     key = robot_key(prefix, robot, Topic.MAP)
-    return _ask(session, key, max_bytes, timeout_s).payload.to_bytes()
+    return _ask(session, key, max_bytes, timeout_s, priority=_BULK).payload.to_bytes()
 
 
 def ask_map_image(
@@ -64,7 +67,7 @@ def ask_map_image(
 ) -> tuple[bytes, MapImage]:
     """A PNG of the active map, and where it lies. Raises AskingError."""
     key = robot_key(prefix, robot, Topic.MAP_IMAGE)
-    reply = _ask(session, key, max_bytes, timeout_s)
+    reply = _ask(session, key, max_bytes, timeout_s, priority=_BULK)
     if reply.attachment is None or len(reply.attachment) > MAX_MESSAGE_BYTES:
         raise AskingError(f"{key}: the picture does not say where it lies")
     try:
@@ -73,19 +76,40 @@ def ask_map_image(
         raise AskingError(f"{key}: {error}") from error
 
 
+def ask_scan(
+    session: zenoh.Session, prefix: str, robot: str, timeout_s: float, points: int
+) -> ScanMessage:
+    """The newest scan, thinned by the robot to so many points. Raises AskingError."""
+    key = robot_key(prefix, robot, Topic.SCAN)
+    reply = _ask(
+        session, key, MAX_MESSAGE_BYTES, timeout_s, priority=_BULK, parameters=f"?points={points}"
+    )
+    try:
+        return ScanMessage.decode(reply.payload.to_bytes())
+    except WireError as error:
+        raise AskingError(f"{key}: {error}") from error
+
+
 def _ask(
-    session: zenoh.Session, key: str, max_bytes: int, timeout_s: float, payload: bytes | None = None
+    session: zenoh.Session,
+    key: str,
+    max_bytes: int,
+    timeout_s: float,
+    payload: bytes | None = None,
+    *,
+    priority: zenoh.Priority = zenoh.Priority.DATA_HIGH,
+    parameters: str = "",
 ) -> zenoh.Sample:
     if "*" in key:
         raise AskingError(f"{key}: one robot at a time")
     try:
         # Replies are waited for one by one; zenoh's queue holds few, and the first one counts.
         replies = session.get(
-            key,
+            key + parameters,
             payload=payload,
             encoding=zenoh.Encoding.APPLICATION_JSON,
             timeout=timeout_s,
-            priority=zenoh.Priority.DATA_HIGH,
+            priority=priority,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
         reply = next(iter(replies), None)

@@ -14,7 +14,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, Self
 
-from amr_slam.client.asking import CommandRefusedError, ask_map, ask_map_image, call
+from amr_slam.client.asking import (
+    CommandRefusedError,
+    ask_map,
+    ask_map_image,
+    ask_scan,
+    call,
+)
 from amr_slam.client.listening import FleetListener, RobotView
 from amr_slam.client.session import SessionError
 from amr_slam.wire import (
@@ -24,6 +30,7 @@ from amr_slam.wire import (
     CommandReply,
     MapImage,
     PoseMessage,
+    ScanMessage,
     StatusMessage,
 )
 
@@ -49,10 +56,13 @@ class Fleet:
         prefix: str = "amr",
         keys: Path | None = None,
         connect_timeout_s: float = _CONNECT_S,
+        full_rate: bool = True,
     ) -> None:
         """``endpoint``: of a router or a robot; ``robots``: their names, none for all; ``keys``:
-        folder that ``amr-slam keys fleet`` wrote."""
+        folder that ``amr-slam keys fleet`` wrote; ``full_rate``: False for every n-th pose, which
+        the robots send beside the others (5 a second of 50): a tenth of the traffic."""
         self.prefix = prefix
+        self._full_rate = full_rate
         self._endpoint = endpoint
         self._robots = robots
         self._keys = keys
@@ -97,11 +107,13 @@ class Fleet:
         future: asyncio.Future[None] = self._loop.create_future()
         waiting = self._waiting.setdefault(robot, set())
         waiting.add(future)
+        # Not asyncio.wait(): that is half of what a message costs a controller of many robots.
+        timer = self._loop.call_later(timeout_s, _set, future)
         try:
-            await asyncio.wait({future}, timeout=timeout_s)
+            await future
         finally:
+            timer.cancel()
             waiting.discard(future)
-            future.cancel()
 
     def _open(self) -> FleetListener:
         return FleetListener(
@@ -110,6 +122,7 @@ class Fleet:
             prefix=self.prefix,
             keys=self._keys,
             connect_timeout_s=self._connect_timeout_s,
+            full_rate=self._full_rate,
             queue_size=0,
             on_change=self._on_change,
         )
@@ -127,8 +140,12 @@ class Fleet:
             touched, self._touched = self._touched, set()
         for robot in touched:
             for future in self._waiting.get(robot, ()):
-                if not future.done():
-                    future.set_result(None)
+                _set(future)
+
+
+def _set(future: asyncio.Future[None]) -> None:
+    if not future.done():
+        future.set_result(None)
 
 
 class Robot:
@@ -142,12 +159,18 @@ class Robot:
         prefix: str = "amr",
         keys: Path | None = None,
         connect_timeout_s: float = _CONNECT_S,
+        full_rate: bool = True,
         fleet: Fleet | None = None,
     ) -> None:
         """``fleet``: whose session to use; the other arguments are for a session of its own."""
         self.name = name
         self._fleet = fleet or Fleet(
-            endpoint, [name], prefix=prefix, keys=keys, connect_timeout_s=connect_timeout_s
+            endpoint,
+            [name],
+            prefix=prefix,
+            keys=keys,
+            connect_timeout_s=connect_timeout_s,
+            full_rate=full_rate,
         )
 
     async def __aenter__(self) -> Self:
@@ -161,7 +184,7 @@ class Robot:
     @property
     def view(self) -> RobotView:
         """All that is known of it, with the counts of lost and refused messages."""
-        return self._fleet.views().get(self.name, RobotView(robot=self.name))
+        return self._fleet.listener.view(self.name)
 
     @property
     def alive(self) -> bool:
@@ -207,6 +230,35 @@ class Robot:
             if waits_s <= 0.0:
                 raise StalePoseError(f"{self.name}: no pose for {stale_s:g} s")
             await self._fleet.changed(self.name, waits_s)
+
+    async def scans(self) -> AsyncIterator[ScanMessage]:
+        """Each scan as the robot publishes it, its points in the map frame; those that came while
+        the caller was busy are skipped. Raises StalePoseError when the robot is gone; however long
+        no scan comes is not its affair (a robot that is lost has none to place).
+        """
+        following = self._fleet.listener.follow_scans(self.name)
+        begun_s = time.monotonic()
+        given = self.view.scan
+        try:
+            while True:
+                view = self.view
+                if view.scan is not None and view.scan is not given:
+                    given = view.scan
+                    yield given
+                elif not view.alive and time.monotonic() - begun_s > _FIRST_S:
+                    raise StalePoseError(f"{self.name}: gone")
+                else:
+                    await self._fleet.changed(self.name, _FIRST_S)
+        finally:
+            following.undeclare()  # type: ignore[no-untyped-call]  # zenoh's stub leaves it open
+
+    async def scan(self, points: int, timeout_s: float = _ANSWER_S) -> ScanMessage:
+        """The newest scan, thinned by the robot itself to ``points`` at most: for pictures of many
+        robots. Raises AskingError when no answer came, or there was no scan yet."""
+        session = self._fleet.listener.session
+        return await asyncio.to_thread(
+            ask_scan, session, self._fleet.prefix, self.name, timeout_s, points
+        )
 
     async def call(self, command: Command, timeout_s: float = _ANSWER_S) -> CommandReply:
         """Have a command done. Raises CommandRefusedError with the robot's reason, AskingError

@@ -19,7 +19,10 @@ _log = logging.getLogger(__name__)
 _MAX_INBOUND_BYTES: Final = 1 << 20  # zenoh's own default is 1 GiB: anyone could fill the memory
 _QUEUE_BATCHES: Final = 16  # the default of 2 loses poses when the processor is busy
 _HANDSHAKE_MS: Final = 2000  # closing waits for one with a frozen router; zenoh's own is 10 s
-_RETRY: Final = {"period_init_ms": 200, "period_max_ms": 2000, "period_increase_factor": 2}
+# Bytes that the kernel takes ahead of a slow link, where nothing overtakes any more. Left to itself
+# it takes megabytes, and poses wait behind a map for seconds (docs/fleet-scale.md).
+_SEND_BUFFERS: Final = {f"transport/link/{link}/so_sndbuf": 1 << 16 for link in ("tcp", "tls")}
+_RETRY: Final = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
 
 
 class SessionError(Exception):
@@ -47,7 +50,7 @@ def open_session(
         raise SessionError(str(error)) from error
     config = zenoh.Config()
     try:
-        for key, value in (common | options).items():
+        for key, value in (common | options | _SEND_BUFFERS).items():
             config.insert_json5(key, json.dumps(value))
         return zenoh.open(config)
     except zenoh.ZError as error:

@@ -1,4 +1,5 @@
-"""Zenoh's access control for a site: what a router lets through from whom to whom. Pure.
+"""Zenoh's access control for a site: what a router lets through from whom to whom, and how much
+of it. Pure.
 
 A message is *ingress* where the router receives it, *egress* where it sends it on. What no rule
 allows is dropped without an answer.
@@ -15,7 +16,14 @@ from amr_slam.encodings.vda5050 import vda5050_keys
 Rules = dict[str, Any]
 
 # What controllers may read by ``get``; commands are not among it.
-_READABLE = ("pose", "status", "scan", "map", "map/**", "vda5050/**")
+_READABLE = ("pose", "fleet_pose", "status", "scan", "map", "map/**", "vda5050/**")
+ROUTER = "router"
+"""Common name of the routers of a site; members' begin otherwise."""
+_ALL = (
+    "put", "delete", "query", "reply", "declare_subscriber", "declare_queryable",
+    "liveliness_token", "liveliness_query", "declare_liveliness_subscriber",
+)  # fmt: skip
+_SMALL = ("pose", "fleet_pose", "status", "scan", "cmd/*")
 
 
 def access_control(
@@ -113,6 +121,11 @@ def access_control(
         let("commanders", names, (listens, asks, hear, *command))
     if watchers:
         let("watchers", [member(controller=name) for name in watchers], (listens, asks, hear))
+    if by == "cert_common_names":
+        # A router of the site has judged by the same rules what it passes on.
+        passes = allow("routers pass on", _ALL, "ingress", ("**",))
+        gets = allow("routers take", _ALL, "egress", ("**",))
+        let("routers", (ROUTER,), (passes, gets))
     return {
         "enabled": True,
         "default_permission": "deny",
@@ -125,6 +138,27 @@ def access_control(
 def _graph(ros2_domain: int | None) -> tuple[str, ...]:
     """What rmw_zenoh asks for: the whole graph of a domain, of which it is told the robots."""
     return () if ros2_domain is None else (f"@ros2_lv/{ros2_domain}/**",)
+
+
+def size_limits(prefix: str, max_bytes: int, *, ros2: bool = False) -> list[Rules]:
+    """The router's ``low_pass_filter``: whatever is larger goes no further. Only maps and their
+    pictures may be; ``ros2``: those that robots put on ROS 2's keys as well."""
+    return [
+        {
+            "id": "messages and arguments",
+            "messages": ["put", "delete", "query"],
+            "flows": ["ingress"],
+            "key_exprs": [f"{prefix}/**"] if ros2 else ["**"],
+            "size_limit": max_bytes,
+        },
+        {
+            "id": "replies",
+            "messages": ["reply"],
+            "flows": ["ingress"],
+            "key_exprs": [f"{prefix}/*/{leaf}" for leaf in _SMALL],
+            "size_limit": max_bytes,
+        },
+    ]
 
 
 def member(*, robot: str | None = None, controller: str | None = None) -> str:

@@ -18,14 +18,17 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
 from amr_slam.keys.authority import KeyPair, issue, new_authority
-from amr_slam.keys.rules import access_control, member
+from amr_slam.keys.rules import ROUTER, access_control, member, size_limits
+from amr_slam.wire import MAX_MAP_BYTES, MAX_MESSAGE_BYTES
 
 _STATE: Final = "site.json"
 _MAX_STATE_BYTES: Final = 4 * 1024 * 1024
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
 _ROUTER_PORT: Final = 7447
-_MAX_MESSAGE_BYTES: Final = 64 * 1024 * 1024
-"""The largest map that a router passes on."""
+_LEASE_MS: Final = 1000
+_QUEUE_BATCHES: Final = 16  # as in robots' and controllers' sessions
+_MAX_PASSED_BYTES: Final = MAX_MAP_BYTES + MAX_MESSAGE_BYTES
+"""A router puts no more together than the largest map and its attachment."""
 
 Auth = Literal["tls", "password"]
 
@@ -169,7 +172,7 @@ class Site:
     def renew_router(self, days: int) -> None:
         """New keys for the router."""
         hosts = list(dict.fromkeys([*self._state.router_hosts, "localhost", "127.0.0.1"]))
-        self._write_pair(self.router_folder, "router", hosts, days)
+        self._write_pair(self.router_folder, ROUTER, hosts, days)
 
     def save(self) -> None:
         """Write the site's state and the router's configuration."""
@@ -197,16 +200,19 @@ class Site:
                 ros2_domain=state.ros2_domain,
                 vda5050=state.vda5050,
             ),
+            "low_pass_filter": size_limits(
+                state.prefix, MAX_MESSAGE_BYTES, ros2=state.ros2_domain is not None
+            ),
         }
-        transport: dict[str, object] = {
-            "link": {"rx": {"max_message_size": _MAX_MESSAGE_BYTES}},
+        link: dict[str, object] = {
+            "rx": {"max_message_size": _MAX_PASSED_BYTES},
+            # Robots see by it that the router hangs, and lose nothing when its machine is busy.
+            "tx": {"lease": _LEASE_MS, "queue": {"size": {"real_time": _QUEUE_BATCHES}}},
         }
+        transport: dict[str, object] = {"link": link}
         if tls:
             own = credentials.Credentials(folder=folder, login=None)
-            transport["link"] = {
-                "rx": {"max_message_size": _MAX_MESSAGE_BYTES},
-                "tls": own.options()["transport/link/tls"],
-            }
+            link["tls"] = own.options()["transport/link/tls"]
         else:
             dictionary = str(folder / "users.txt")
             transport["auth"] = {"usrpwd": {"dictionary_file": dictionary}}

@@ -203,6 +203,7 @@ class Reporter:
             wheels=_part(wheels),
             slam=_part(slam),
             outcomes=dict(outcomes),
+            commands=dict(self._publisher.command_counts()),
             clock_steps=self._clock.steps,
             version=self._version,
             uptime_s=1e-9 * (now_ns - self._started_ns),

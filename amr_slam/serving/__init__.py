@@ -18,6 +18,7 @@ from amr_slam.serving.commands import CommandDesk
 from amr_slam.serving.desk import Desk
 from amr_slam.serving.inlets import InletDesk
 from amr_slam.serving.maps import MapDesk
+from amr_slam.serving.scans import thinned
 from amr_slam.serving.telling import MapTeller
 
 __all__ = [
@@ -33,4 +34,5 @@ __all__ = [
     "NotDone",
     "Picture",
     "Put",
+    "thinned",
 ]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import Counter
+from collections.abc import Mapping
 from typing import Final
 
 import zenoh
@@ -28,8 +30,14 @@ class CommandDesk:
         self._base = f"{base}/cmd"
         self._desk = desk
         self._allowance = Allowance(RATE_HZ, BURST, time.monotonic())
+        self._counts: Counter[str] = Counter()
         self._lock = threading.Lock()
         self._queryable = session.declare_queryable(f"{self._base}/*", self._on_query)
+
+    def counts(self) -> Mapping[str, int]:
+        """What became of the commands so far, by kind. Any thread."""
+        with self._lock:
+            return dict(self._counts)
 
     def _on_query(self, query: zenoh.Query) -> None:
         """On a thread of zenoh's."""
@@ -39,14 +47,14 @@ class CommandDesk:
         try:
             arguments = self._checked(query)
         except WireError as error:
-            self._refuse(query, str(error))
+            self._refuse(query, "invalid", str(error))
             return
         with self._lock:
             allowed = self._allowance.takes(time.monotonic())
         if not allowed:
-            self._refuse(query, f"too many commands: {RATE_HZ:g} a second is enough")
+            self._refuse(query, "busy", f"too many commands: {RATE_HZ:g} a second is enough")
         elif not self._desk.enter(lambda: self._perform(query, arguments)):
-            self._refuse(query, "another command is under way")
+            self._refuse(query, "busy", "another command is under way")
 
     def _checked(self, query: zenoh.Query) -> Command:
         key = str(query.key_expr)
@@ -61,10 +69,16 @@ class CommandDesk:
     def _perform(self, query: zenoh.Query, arguments: Command) -> Answering:
         """On the desk's thread."""
         reply = perform(self._desk, arguments, asking(query))
+        self._count("done" if reply.ok else "refused")
         return lambda: _reply(query, reply)
 
-    def _refuse(self, query: zenoh.Query, reason: str) -> None:
+    def _refuse(self, query: zenoh.Query, kind: str, reason: str) -> None:
+        self._count(kind)
         _reply(query, CommandReply.refusing(reason))
+
+    def _count(self, kind: str) -> None:
+        with self._lock:
+            self._counts[kind] += 1
 
 
 def perform(desk: Desk, arguments: Command, by: str) -> CommandReply:

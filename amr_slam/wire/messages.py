@@ -157,6 +157,8 @@ class PoseMessage(_Message):
     fault: Text | None
     epoch_delta: EpochDelta | None = None
     """What the pose jumped by when this epoch began; null in the first one."""
+    every: Annotated[int, Ge(1)] = 1
+    """``seq`` goes up by so many from message to message on this key."""
 
 
 class StatusMessage(_Message):
@@ -172,6 +174,9 @@ class StatusMessage(_Message):
     """The SLAM process: its pulse, poses per second, crashes."""
     outcomes: Annotated[dict[Name, Count], Len(0, 32)] = Field(default_factory=dict)
     """What became of the samples so far: accepted, gated, late, ... (samples.Outcome)."""
+    commands: Annotated[dict[Name, Count], Len(0, 8)] = Field(default_factory=dict)
+    """What became of the commands so far: done, refused (by the robot), invalid (no such command,
+    arguments that are none, too large), busy (too many)."""
     clock_steps: Count = 0
     """Steps of the UTC clock since the start; stamps moved with them, the estimate did not."""
     version: Name
@@ -213,6 +218,11 @@ class ScanMessage(_Message):
     """Of the pose by which the points were put there."""
     points: Annotated[tuple[tuple[_Coordinate, _Coordinate], ...], Len(0, MAX_SCAN_POINTS)]
     """(x, y) in m in the map frame."""
+
+    def thinned(self, most: int) -> ScanMessage:
+        """The same with ``most`` points at most (1 or more): every k-th, in their order."""
+        every = -(-len(self.points) // most)
+        return self if every <= 1 else self.model_copy(update={"points": self.points[::every]})
 
 
 class MapImage(Payload):

@@ -50,5 +50,8 @@ class ZenohSettings:
     scan_points: Annotated[int, Interval(ge=0, le=MAX_SCAN_POINTS)] = 360
     """Points of each registered scan that go out under ``scan``, evenly over what was seen; 0
     publishes no scans."""
+    fleet_every: Annotated[int, Interval(ge=0, le=1000)] = 10
+    """Every n-th pose goes out under ``fleet_pose``, too, for controllers of many robots: 5 of 50 a
+    second. 0: none."""
     lease_ms: Annotated[int, Interval(ge=100, le=1000)] = 1000
     """A frozen robot's ``alive`` token falls after this time in ms; at most 1 s (contract)."""

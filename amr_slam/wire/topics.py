@@ -10,10 +10,12 @@ class Topic(enum.StrEnum):
 
     POSE = "pose"
     """Published; answers ``get`` with the latest."""
+    FLEET_POSE = "fleet_pose"
+    """Every n-th of these poses, for those who follow many robots; answers ``get``, too."""
     STATUS = "status"
     """Published; answers ``get`` with the latest."""
     SCAN = "scan"
-    """Published while somebody listens."""
+    """Published; answers ``get`` with the latest, thinned to ``?points=N`` on request."""
     ALIVE = "alive"
     """Liveliness token."""
     MAP = "map"
