@@ -36,7 +36,7 @@ from amr_slam.wire import PoseMessage, ScanMessage, StatusMessage, Topic, ZenohS
 
 _JSON: Final = "application/json"
 _MAX_INBOUND_BYTES: Final = 1 << 17  # commands are all that a robot is sent
-_WAITING_POSES: Final = 25  # half a second of them
+_WAITING_POSES: Final = 25  # half a second of them, in each form
 _WAITING_OTHERS: Final = 4
 _HEARTBEAT_S: Final = 5.0
 """Between the numbers of the newest message on a latched key: who has lost it asks for it."""
@@ -167,7 +167,10 @@ class RobotPublisher:
         self._pictures = 0
         self._encoders = tuple(encoders)
         self._every = settings.fleet_every
-        poses, others = Sender("poses", _WAITING_POSES), Sender("others", _WAITING_OTHERS)
+        lanes = [outlet.lane for encoder in self._encoders for outlet in encoder.outlets]
+        of_poses, of_maps = lanes.count(Lane.POSE), lanes.count(Lane.MAP)
+        poses = Sender("poses", _WAITING_POSES * (1 + of_poses))
+        others = Sender("others", _WAITING_OTHERS * (1 + len(lanes) - of_poses - of_maps))
         self._senders = {Lane.POSE: poses, Lane.STATUS: others, Lane.SCAN: others}
         with declaring(self._session):
             self._pose = self._topic(key(Topic.POSE), Lane.POSE)

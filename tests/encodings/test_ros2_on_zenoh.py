@@ -201,7 +201,7 @@ ARRIVING: list[tuple[str, Type, zenoh.Priority]] = [
     ("amr7/odom", ODOMETRY, zenoh.Priority.REAL_TIME),
     ("amr7/tf", TRANSFORMS, zenoh.Priority.REAL_TIME),
     ("amr7/scan_points", POINTS, zenoh.Priority.BACKGROUND),
-    ("amr7/diagnostics", DIAGNOSTICS, zenoh.Priority.DATA_LOW),
+    ("amr7/diagnostics", DIAGNOSTICS, zenoh.Priority.INTERACTIVE_LOW),
 ]
 
 
