@@ -1,4 +1,4 @@
-"""The wheels of a configuration behind an slcan adapter, whichever driver reads them."""
+"""The wheels of a configuration on their bus, whichever driver reads them."""
 
 from __future__ import annotations
 
@@ -11,26 +11,31 @@ from amr_drivers.can_odometry.cia402.settings import Settings as Cia402Settings
 from amr_drivers.can_odometry.settings import Settings, WheelSettings
 from amr_drivers.emulators.cia402 import EmulatedDrives
 from amr_drivers.emulators.slcan import EmulatedSlcan
+from amr_drivers.emulators.socketcan import EmulatedNodes
 from amr_drivers.emulators.wheels import EmulatedWheels
 
 
 class EmulatedOdometry:
     """Turns when it is told to, and sends what its encoders count. A context manager.
 
-    Raises ValueError for another interface than slcan or for a DBC file that does not fit, OSError
-    when the port cannot be made.
+    Behind an slcan adapter, or on a CAN interface that is there (vcan). Raises ValueError for
+    other interfaces and for a DBC file that does not fit, OSError when the port or interface
+    cannot be had.
     """
 
     def __init__(self, settings: Settings | Cia402Settings) -> None:
-        if settings.interface != "slcan":
-            raise ValueError(f"{settings.interface} cannot be emulated; slcan can")
+        if settings.interface not in ("slcan", "socketcan"):
+            raise ValueError(f"{settings.interface} cannot be emulated; slcan and socketcan can")
         self._settings = settings
         self._angles = dict.fromkeys(settings.joints, 0.0)
         if isinstance(settings, Cia402Settings):
             self.drives = EmulatedDrives(settings)
         else:
             self._wheels = EmulatedWheels(settings)
-        if settings.channel.startswith("socket://"):
+        self.adapter: EmulatedSlcan | EmulatedNodes
+        if settings.interface == "socketcan":
+            self.adapter = EmulatedNodes(settings.channel)
+        elif settings.channel.startswith("socket://"):
             self.adapter = EmulatedSlcan.over_tcp(urlsplit(settings.channel).port or 0)
         else:
             Path(settings.channel).parent.mkdir(parents=True, exist_ok=True)
