@@ -54,7 +54,7 @@ system() {  # the base with modules, without what only costs time, and with the 
   depmod -b "$root" "$version"
   for unit in getty.target getty-static.service serial-getty@ttyS0.service dev-hugepages.mount \
     dev-mqueue.mount sys-kernel-debug.mount sys-kernel-tracing.mount sys-kernel-config.mount \
-    sys-fs-fuse-connections.mount modprobe@.service systemd-journal-flush.service apt-daily.timer \
+    sys-fs-fuse-connections.mount systemd-journal-flush.service apt-daily.timer \
     apt-daily-upgrade.timer dpkg-db-backup.timer e2scrub_all.timer e2scrub_reap.service \
     fstrim.timer systemd-timesyncd.service systemd-firstboot.service systemd-update-utmp.service \
     systemd-hwdb-update.service systemd-random-seed.service systemd-pcrphase.service \

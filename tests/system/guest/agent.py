@@ -18,6 +18,8 @@ _PORT = Path("/dev/virtio-ports/agent")
 
 def serve() -> None:
     """Answer until the power goes."""
+    while not _PORT.exists():  # udev makes it while the others start
+        time.sleep(0.1)
     port = os.open(_PORT, os.O_RDWR)  # it may be opened once only
     while True:
         answer = json.dumps(_answer(json.loads(_line(port)))).encode() + b"\n"
