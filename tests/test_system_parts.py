@@ -69,7 +69,7 @@ def test_the_agent_answers_with_status_output_and_times() -> None:
     done = agent["_answer"]({"run": "echo said; exit 3", "limit_s": 60.0})
     assert (done["status"], done["output"]) == (3, "said\n")
     assert done["began_s"] <= done["ended_s"]
-    late = agent["_answer"]({"run": "echo said; exec sleep 100", "limit_s": 1.0})
+    late = agent["_answer"]({"run": "echo said; sleep 100 | cat", "limit_s": 1.0})
     assert (late["status"], late["output"]) == (None, "said\n")
 
 

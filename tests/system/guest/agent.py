@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import time
 from pathlib import Path
@@ -39,20 +40,22 @@ def _line(port: int) -> bytes:
 
 def _answer(request: dict[str, object]) -> dict[str, object]:
     began_s = time.monotonic()
-    try:
-        done = subprocess.run(
-            ["/bin/sh", "-c", str(request["run"])],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            check=False,
-            timeout=float(str(request["limit_s"])),
-        )
-        status, output = done.returncode, done.stdout
-    except subprocess.TimeoutExpired as error:
-        status, output = None, (error.stdout or b"").decode(errors="replace")
+    with subprocess.Popen(
+        ["/bin/sh", "-c", str(request["run"])],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    ) as process:
+        try:
+            output, _ = process.communicate(timeout=float(str(request["limit_s"])))
+            status: int | None = process.returncode
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)  # with all that the shell has started
+            output, _ = process.communicate()
+            status = None
     ended_s = time.monotonic()
     return {"status": status, "output": output, "began_s": began_s, "ended_s": ended_s}
 
