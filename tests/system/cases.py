@@ -45,7 +45,7 @@ def installed(robot: Robot) -> str:
 def service_starts(robot: Robot) -> str:
     for name in SCANNERS:
         robot.machine.unplug_scanner(name)
-    robot.machine.run("modprobe -r ftdi_sio usbserial")
+    robot.machine.until("modprobe -r ftdi_sio usbserial", limit_s=10.0)
     mark = robot.mark()
     robot.machine.run(f"systemctl start {UNIT}", limit_s=90.0)
     plugged_s = robot.machine.run("true").ended_s
@@ -119,7 +119,7 @@ def scanner_is_pulled(robot: Robot) -> str:
 
 def slam_process_is_killed(robot: Robot) -> str:
     mark, pid = robot.mark(), robot.property("MainPID")
-    at_s = robot.machine.run("kill -9 $(pgrep -f 'spawn_main.*slam|multiprocessing.spawn')").ended_s
+    at_s = robot.machine.run("kill -9 $(pgrep -f 'multiprocessing[.]spawn import')").ended_s
     told_s = robot.hears('pose .*"fault": *"slam', mark, 10.0)
     over_s = robot.hears('status .*"slam": *{"link": *"OK"', robot.mark(), 60.0)
     _hold(told_s is not None and over_s is not None, f"told {told_s}, over {over_s}")
