@@ -6,7 +6,7 @@ SECONDS ?= 60
 TARGET ?= all
 RUNS ?= 1000000
 
-.PHONY: install demo test check bench fuzz faults evaluate peers clean lock
+.PHONY: install demo test check bench fuzz faults evaluate peers system-test clean lock
 
 install: $(VENV)/.installed          ## .venv with amr-slam in it, as robots get it
 
@@ -60,6 +60,13 @@ peers: $(VENV)/.peers                ## other registration libraries, for evalua
 
 evaluate: $(VENV)/.dev               ## docs/evaluation.md anew: make evaluate LOGS=folder ARGS="--scale 0.1"
 	$(BIN)/python tools/evaluate.py $(if $(LOGS),--logs $(LOGS)) $(ARGS)
+
+system-test: $(VENV)/.dev            ## a whole computer in qemu, mistreated (docs/system-test.md; as root)
+	@for program in qemu-system-x86_64 qemu-img mmdebstrap modprobe cpio debugfs busybox; do \
+	  command -v $$program >/dev/null || exec sh -c 'apt-get update -q && apt-get install -q -y --no-install-recommends \
+	    qemu-system-x86 qemu-utils mmdebstrap kmod cpio e2fsprogs busybox-static'; \
+	done
+	PYTHONPATH=tests $(BIN)/python -m system $(ARGS)
 
 lock: $(VENV)/.dev                   ## renew the pinned versions (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate --no-strip-extras \

@@ -28,8 +28,13 @@ def main() -> int:
             surroundings = _opened(load(arguments.config), opened, arguments)
             print(f"{arguments.config}: its devices are there; Ctrl-C ends", flush=True)
             ends_s = time.monotonic() + arguments.seconds
+            truth = opened.enter_context(arguments.truth.open("w")) if arguments.truth else None
             while time.monotonic() < ends_s:
                 surroundings.step()
+                if truth is not None:
+                    pose = surroundings.map_from_base
+                    where = f"{pose.x_m:.4f} {pose.y_m:.4f} {pose.theta_rad:.5f}"
+                    print(f"{time.monotonic_ns()} {where}", file=truth, flush=True)
     except KeyboardInterrupt:
         return 130
     except (ConfigError, ValueError, OSError) as error:
@@ -62,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     add("config", type=Path, help="whose devices to be")
     add("--seed", type=int, default=7, help="of the laboratory and all noise")
     add("--scan-period", type=float, default=0.2, help="s, of every scanner")
+    add("--truth", type=Path, help="file for where it really is: monotonic ns, x m, y m, rad")
     add("--seconds", type=float, default=math.inf, help="how long")
     return parser
 

@@ -173,7 +173,14 @@ def test_a_multicast_bus_passes_error_frames_on() -> None:
 
 
 def test_other_interfaces_are_refused() -> None:
-    with pytest.raises(ValueError, match="socketcan cannot be emulated"):
-        emulate(Settings(dbc="config/wheels.dbc"))
-    with pytest.raises(ValueError, match="socketcan cannot be emulated"):
-        emulate(Cia402Settings())
+    with pytest.raises(ValueError, match="udp_multicast cannot be emulated"):
+        emulate(Settings(dbc="config/wheels.dbc", interface="udp_multicast"))
+    with pytest.raises(ValueError, match="udp_multicast cannot be emulated"):
+        emulate(Cia402Settings(interface="udp_multicast"))
+
+
+def test_a_can_interface_must_be_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With frames on it: tests/system, in a machine that has CAN."""
+    monkeypatch.chdir(REPO)
+    with pytest.raises(OSError, match=r"\[Errno"):
+        emulate(Settings(dbc="config/wheels.dbc", channel="no-such-can"))

@@ -1,4 +1,4 @@
-"""The wheels of a configuration behind a CAN adapter, whichever driver reads them."""
+"""The wheels of a configuration on their bus, whichever driver reads them."""
 
 from __future__ import annotations
 
@@ -15,19 +15,23 @@ from amr_drivers.emulators.can_faults import FaultyWire
 from amr_drivers.emulators.cia402 import EmulatedDrives
 from amr_drivers.emulators.multicast import EmulatedMulticast
 from amr_drivers.emulators.slcan import EmulatedSlcan
+from amr_drivers.emulators.socketcan import EmulatedNodes
 from amr_drivers.emulators.wheels import EmulatedWheels
 
 
 class EmulatedOdometry:
     """Turns when it is told to, and sends what its encoders count. A context manager.
 
-    Raises ValueError for another interface than slcan and udp_multicast or for a DBC file that does
-    not fit, OSError when the port cannot be made.
+    Behind an slcan adapter, on a multicast group, or on a CAN interface that is there (vcan).
+    Raises ValueError for other interfaces and for a DBC file that does not fit, OSError when the
+    port or interface cannot be had.
     """
 
     def __init__(self, settings: Settings | Cia402Settings) -> None:
-        if settings.interface not in ("slcan", "udp_multicast"):
-            raise ValueError(f"{settings.interface} cannot be emulated; slcan, udp_multicast can")
+        if settings.interface not in ("slcan", "udp_multicast", "socketcan"):
+            raise ValueError(
+                f"{settings.interface} cannot be emulated; slcan, udp_multicast and socketcan can"
+            )
         self._settings = settings
         self._angles = dict.fromkeys(settings.joints, 0.0)
         if isinstance(settings, Cia402Settings):
@@ -88,7 +92,11 @@ def emulate(settings: Settings | Cia402Settings) -> EmulatedOdometry:
     return EmulatedOdometry(settings)
 
 
-def _adapter(settings: Settings | Cia402Settings) -> EmulatedSlcan | EmulatedMulticast:
+def _adapter(
+    settings: Settings | Cia402Settings,
+) -> EmulatedSlcan | EmulatedMulticast | EmulatedNodes:
+    if settings.interface == "socketcan":
+        return EmulatedNodes(settings.channel)
     if settings.interface == "udp_multicast":
         return EmulatedMulticast(settings)
     if settings.channel.startswith("socket://"):

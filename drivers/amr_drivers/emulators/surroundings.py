@@ -69,6 +69,11 @@ class Surroundings:
         self._late_ns = 0
         self._rolled_rad = 0.0
 
+    @property
+    def map_from_base(self) -> Pose2:
+        """Where the robot really is; the map begins where it stood first."""
+        return self.robot.map_from_base
+
     def step(self) -> int:
         """20 ms: each scan is measured as its sweep ends, the wheels at the end.
 
