@@ -155,7 +155,7 @@ def test_what_is_probable_but_not_sure_goes_on_to_the_exhaustive_rung() -> None:
 def test_around_the_prior_a_lead_is_demanded_by_itself() -> None:
     answer = decide([place(0), place(1, score=0.85)], 2, Rung.RESCUE, PARAMS)
     assert answer.verdict is Verdict.AMBIGUOUS
-    assert "margin 0.05 < 0.10" in str(answer.reason)
+    assert "margin 0.05 < 0.20" in str(answer.reason)
 
 
 def test_a_second_place_below_nothing_lends_no_lead() -> None:

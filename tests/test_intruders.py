@@ -241,7 +241,8 @@ def test_the_rules_are_these_and_no_more() -> None:
     }
     said = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
     interest = ("declare_subscriber", "declare_liveliness_subscriber", "liveliness_query")
-    read = {f"amr/*/{leaf}" for leaf in ("pose", "fleet_pose", "status", "scan", "map", "map/**")}
+    leaves = ("pose", "fleet_pose", "status", "scan", "map", "map/**", "vda5050/**")
+    read = {f"amr/*/{leaf}" for leaf in leaves}
     expected: dict[tuple[str, str, str], set[str]] = {
         **{("robot-amr7", "ingress", one): {"amr/amr7/**"} for one in said},
         ("robot-amr7", "egress", "query"): {"amr/amr7/**"},

@@ -85,7 +85,10 @@ class Fleet:
         return self
 
     async def __aexit__(self, *exc_info: object) -> None:
-        await asyncio.shield(asyncio.to_thread(self.listener.close))
+        # Handed to a thread before anything is awaited: a task (to_thread) that Ctrl-C cancels
+        # before its first turn would close nothing, and the program would never end.
+        closing = asyncio.get_running_loop().run_in_executor(None, self.listener.close)
+        await asyncio.shield(closing)
 
     @property
     def listener(self) -> FleetListener:

@@ -173,10 +173,10 @@ def test_a_multicast_bus_passes_error_frames_on() -> None:
 
 
 def test_other_interfaces_are_refused() -> None:
-    with pytest.raises(ValueError, match="udp_multicast cannot be emulated"):
-        emulate(Settings(dbc="config/wheels.dbc", interface="udp_multicast"))
-    with pytest.raises(ValueError, match="udp_multicast cannot be emulated"):
-        emulate(Cia402Settings(interface="udp_multicast"))
+    with pytest.raises(ValueError, match="virtual cannot be emulated"):
+        emulate(Settings(dbc="config/wheels.dbc", interface="virtual"))
+    with pytest.raises(ValueError, match="virtual cannot be emulated"):
+        emulate(Cia402Settings(interface="virtual"))
 
 
 def test_a_can_interface_must_be_there(monkeypatch: pytest.MonkeyPatch) -> None:
