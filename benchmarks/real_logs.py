@@ -28,7 +28,7 @@ from amr_slam.samples import OdometrySample
 
 REPO: Final = Path(__file__).resolve().parent.parent
 LOGS: Final = Path(os.environ.get("AMR_SLAM_SHARED", REPO.parent / "shared")) / "data/logs"
-README_LOGS: Final = ("intel", "mit_csail", "acapulco", "fhw", "seattle", "mit_killian")
+README_LOGS: Final = ("intel", "mit_csail", "acapulco", "fhw", "seattle")
 SCAN_PERIOD_S: Final = 2.0
 MAX_GAP_S: Final = 2.0
 """A reference's stamp counts where poses no farther apart than this enclose it."""
