@@ -17,7 +17,8 @@ import numpy as np
 import pytest
 
 from amr_slam import service
-from amr_slam.cli import fleet, main, parser, progress
+from amr_slam.cli import fleet, main, progress
+from amr_slam.cli.arguments import MODULES
 from amr_slam.client import SessionError
 from amr_slam.map import PointMap, load_map, save_map
 from amr_slam.params import SlamParams
@@ -624,7 +625,7 @@ def test_the_unexpected_crashes_loudly(monkeypatch: pytest.MonkeyPatch) -> None:
     module = types.ModuleType("broken")
     module.__dict__.update(run=run, FAILURES={})
     monkeypatch.setitem(sys.modules, "broken", module)
-    monkeypatch.setitem(parser.MODULES, "watch", "broken")
+    monkeypatch.setitem(MODULES, "watch", "broken")
     with pytest.raises(RuntimeError):
         main(["watch"])
 

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 from amr_slam.cli import logs
-from amr_slam.cli.parser import MODULES, join_negative_values, make_parser
+from amr_slam.cli.arguments import MODULES, join_negative_values, make_parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
