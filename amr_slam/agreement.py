@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from amr_slam.evidence import Hypothesis
-from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
+from amr_slam.geometry import Array, Pose2, inverse_matrix, turned, wrap_angle
 from amr_slam.samples import Motion
 
 # Two poses agree when their squared Mahalanobis distance is below this (99.9 %, 3 dof).
@@ -25,9 +25,7 @@ def moved(pose: Pose2, covariance: Array, motion: Motion) -> tuple[Pose2, Array]
     after = pose @ motion.delta
     carry = np.eye(3)
     carry[:2, 2] = [-(after.y_m - pose.y_m), after.x_m - pose.x_m]
-    turn = np.eye(3)
-    turn[:2, :2] = after.rotation
-    spread = carry @ covariance @ carry.T + turn @ motion.covariance @ turn.T
+    spread = carry @ covariance @ carry.T + turned(motion.covariance, after.rotation)
     return after, 0.5 * (spread + spread.T)
 
 

@@ -138,6 +138,14 @@ def interpolate(start: Pose2, end: Pose2, fraction: float) -> Pose2:
     return start @ Pose2.exp(fraction * (start.inverse() @ end).log())
 
 
+def turned(covariance: Array, rotation: Array) -> Array:
+    """A covariance (3, 3) of (x, y, theta) in axes from which ``rotation`` (2, 2) leads to others,
+    in those others."""
+    turn = np.eye(3)
+    turn[:2, :2] = rotation
+    return np.asarray(turn @ covariance @ turn.T)
+
+
 def inverse_matrix(matrix: Array) -> Array:
     """The inverse of a square matrix; raises numpy.linalg.LinAlgError where there is none."""
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)

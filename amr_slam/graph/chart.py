@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from amr_slam.clouds import Cloud
-from amr_slam.geometry import Array, Pose2, inverse_matrix
+from amr_slam.geometry import Array, Pose2, inverse_matrix, turned
 from amr_slam.graph.closing import Closing
 from amr_slam.graph.posegraph import Edge, optimize
 from amr_slam.graph.submaps import Submaps
@@ -32,8 +32,6 @@ class Chart:
         self._ways_m: list[float] = []
         self.poses: Array = np.empty((0, 3))
         """(n, 3) map_from_base of all nodes, as well as is known now."""
-        self.loops = 0
-        """Closures that were made."""
         self.moved = False
         """Poses have changed since this was last set to False."""
 
@@ -69,8 +67,7 @@ class Chart:
         if not found:
             return None
         self.edges += found
-        self.loops += len(found)
-        self.poses = optimize(self.poses, self.edges).poses
+        self.poses = optimize(self.poses, self.edges)
         self.moved = True
         moved = self.newest @ pose.inverse()
         if np.hypot(*(self.newest.translation - pose.translation)) < _MOVED_M and (
@@ -82,11 +79,9 @@ class Chart:
 
 
 def _step(row: int, before: Pose2, after: Pose2, covariance: Array) -> Edge:
-    turn = np.eye(3)
-    turn[:2, :2] = before.rotation.T
     return Edge(
         start=row - 1,
         end=row,
         delta=before.inverse() @ after,
-        information=inverse_matrix(turn @ covariance @ turn.T + _STEP),
+        information=inverse_matrix(turned(covariance, before.rotation.T) + _STEP),
     )

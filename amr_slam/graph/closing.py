@@ -15,7 +15,7 @@ import numpy as np
 
 from amr_slam.clouds import Cloud
 from amr_slam.evidence import Hypothesis, Verdict
-from amr_slam.geometry import Array, Pose2, inverse_matrix
+from amr_slam.geometry import Array, Pose2, inverse_matrix, turned
 from amr_slam.graph.posegraph import Edge
 from amr_slam.graph.submaps import Submap
 from amr_slam.params import SlamParams
@@ -153,13 +153,11 @@ def _edge(row: int, submap: Submap, found: Hypothesis) -> Edge:
     """From the submap's nearest node to the scan that was found in it."""
     _, number = submap.nearest(found.pose)
     anchor = submap.poses[number]
-    turn = np.eye(3)
-    turn[:2, :2] = anchor.rotation.T
     covariance = inverse_matrix(found.alignment.information + _NOTHING)
     return Edge(
         start=submap.rows[number],
         end=row,
         delta=anchor.inverse() @ found.pose,
-        information=inverse_matrix(turn @ covariance @ turn.T + _FLOOR),
+        information=inverse_matrix(turned(covariance, anchor.rotation.T) + _FLOOR),
         loop=True,
     )

@@ -46,24 +46,15 @@ class Edge:
         object.__setattr__(self, "information", readonly(self.information))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Solution:
-    """Poses that agree best with all edges."""
-
-    poses: Array
-    """(n, 3) map_from_base; the first one stays where it was."""
-    d2: Array
-    """(m,) squared Mahalanobis distance left at each edge."""
-
-
-def optimize(poses: Array, edges: Sequence[Edge]) -> Solution:
-    """Improve ``poses`` (n, 3), each of which edges must tie to the first one. Deterministic."""
+def optimize(poses: Array, edges: Sequence[Edge]) -> Array:
+    """The poses (n, 3) that agree best with all edges, from ``poses``, of which the first one stays
+    where it is. Edges must tie each to it. Deterministic."""
     stack = _Stack(edges, len(poses))
     found = np.array(poses, dtype=np.float64)
     for kernel_d2 in _KERNELS_D2:
         stack.kernel_d2 = kernel_d2
         found = _descend(stack, found)
-    return Solution(poses=found, d2=stack.d2(found))
+    return found
 
 
 def _descend(stack: _Stack, found: Array) -> Array:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from amr_slam.agreement import AGREE_D2, agreement_d2, moved
 from amr_slam.engine import Mode, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
-from amr_slam.geometry import Array, Pose2, wrap_angle
+from amr_slam.geometry import Array, Pose2, turned, wrap_angle
 from amr_slam.hypotheses import Hypotheses
 from amr_slam.localizer.fused import FusedPose
 from amr_slam.samples import Outcome, SlamPose
@@ -76,9 +74,7 @@ class Placing:
         there = self._fused.running.pose_at(stamp_ns)
         if there is None:
             return
-        turn = np.eye(3)
-        turn[:2, :2] = moved.rotation
-        self._fused.reset(stamp_ns, moved @ there[0], turn @ there[1] @ turn.T)
+        self._fused.reset(stamp_ns, moved @ there[0], turned(there[1], moved.rotation))
         self.elsewhere = self._left = None
         self._agreeing.clear()
         self.hypotheses.clear()

@@ -60,7 +60,7 @@ def test_the_second_round_takes_the_drift_of_the_first_away() -> None:
     for before, after in itertools.pairwise(truth):
         alone.append(alone[-1] @ (before.inverse() @ after) @ DRIFT)
     drifted = ate_m(np.array([pose.as_array() for pose in alone]), truth)
-    assert chart.loops > 4
+    assert sum(edge.loop for edge in chart.edges) > 4
     assert false_loops(chart.edges, truth) == []
     assert ate_m(chart.poses, truth) < 0.25 * drifted
     assert moved
@@ -90,4 +90,4 @@ def test_one_witness_closes_nothing() -> None:
     for row, pose in enumerate(truth):
         moved = chart.insert(cloud_at(lab(0), pose, rng, sigma_m=0.01, stamp_ns=row), pose, STEP)
         assert moved is None
-    assert chart.loops == 0
+    assert not any(edge.loop for edge in chart.edges)
