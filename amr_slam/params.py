@@ -77,8 +77,6 @@ class ClosingParams:
     """So much it may be turned,"""
     drift_radpm: Annotated[float, Ge(0.0)] = 0.1
     """and this much more for each metre that it may be off."""
-    margin: Annotated[float, Ge(0.0), Le(1.0)] = 0.2
-    """Least lead over any other place within reach."""
     known: Annotated[float, Ge(0.0), Le(1.0)] = 0.7
     """Least share of the scan that lies where the submap knows anything."""
     weak_m: Annotated[float, Gt(0.0)] = 0.1

@@ -133,6 +133,7 @@ class Rig:
         inserted: bool = False,
         covariance: Array = SURE,
         stamp_ns: int | None = None,
+        moved: Pose2 | None = None,
     ) -> Outcome:
         """The registration's word on this instant: a pose, or None where it found none."""
         stamp_ns = self.now_ns if stamp_ns is None else stamp_ns
@@ -151,7 +152,7 @@ class Rig:
                 candidates=1,
                 margin=1.0,
             )
-        return self.hand_back(answer, fix, inserted=inserted, stamp_ns=stamp_ns)
+        return self.hand_back(answer, fix, inserted=inserted, stamp_ns=stamp_ns, moved=moved)
 
     def hand_back(
         self,
@@ -162,6 +163,7 @@ class Rig:
         stamp_ns: int | None = None,
         change: Change | None = None,
         sought: bool = False,
+        moved: Pose2 | None = None,
     ) -> Outcome:
         result = SlamResult(
             stamp_ns=self.now_ns if stamp_ns is None else stamp_ns,
@@ -173,6 +175,7 @@ class Rig:
             map_points=1,
             change=change,
             sought=sought,
+            moved=moved,
         )
         outcome = self.localizer.handle(result)
         self.collect()

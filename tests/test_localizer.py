@@ -251,6 +251,32 @@ def test_the_pose_jumps_once_enough_solutions_near_it_agree(relocalized: bool, n
     assert rig.estimate.odom_from_base.distance_to(before.odom_from_base) < 0.01
 
 
+def test_a_map_that_a_loop_has_moved_takes_the_robot_along() -> None:
+    rig = located()
+    moved = Pose2(0.8, -0.3, 0.1)
+    rig.drive(2.0)
+    scanned_ns, there = rig.now_ns, rig.truth
+    rig.drive(0.4)
+    before = rig.estimate
+    # The fix speaks of the map of before.
+    assert rig.answer(there, inserted=True, stamp_ns=scanned_ns, moved=moved) is Outcome.ACCEPTED
+    after = rig.estimate
+    assert after.epoch == before.epoch + 1
+    assert after.map_from_base.distance_to(moved @ rig.truth) < 0.02
+    assert after.odom_from_base == before.odom_from_base
+    rig.drive(1.6)
+    assert rig.answer(moved @ rig.truth) is Outcome.ACCEPTED
+    assert rig.estimate.epoch == after.epoch
+    # What is not known along one axis of the old map is not known along that axis of the new one.
+    angle = 0.5 * np.pi
+    rig = located()
+    wide = np.diag([0.3**2, 0.02**2, 0.01**2])
+    rig.localizer.place(rig.truth, wide)
+    rig.answer(None, moved=Pose2(0.0, 0.0, angle))
+    covariance = rig.estimate.covariance
+    assert covariance[1, 1] > 50.0 * covariance[0, 0]
+
+
 def test_one_outlier_moves_nothing() -> None:
     rig = located()
     rig.drive(1.0)

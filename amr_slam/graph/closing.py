@@ -116,7 +116,7 @@ class Closing:
         params = replace(self._params, rescue_m=max(reach_m, 1.0))
         answer = slam_rescue(cloud, submap.map, prior, params)
         best = answer.best
-        if best is None or answer.verdict is not Verdict.ACCEPTED or answer.margin < rules.margin:
+        if best is None or answer.verdict is not Verdict.ACCEPTED:
             return None
         turn_rad = abs((expected.inverse() @ best.pose).theta_rad)
         if best.known < rules.known or turn_rad > rules.turn_rad + rules.drift_radpm * reach_m:

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from labs import cloud_at, lab, tour_poses
 
+from amr_slam.engine import SlamEngine
 from amr_slam.evaluation import align_se2
 from amr_slam.geometry import Array, Pose2
 from amr_slam.graph.chart import Chart
 from amr_slam.graph.posegraph import Edge
+from amr_slam.graph.submaps import Submaps
+from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.simulation import World, plan_tour
 from amr_slam.simulation.buildings import alike_rooms
@@ -80,6 +83,50 @@ def test_rooms_that_look_alike_are_not_taken_for_one_another(seed: int) -> None:
     ]
     chart, _ = charted(world, truth, SLIGHT)
     assert false_loops(chart.edges, truth) == []
+
+
+def test_the_map_and_what_is_anchored_follow() -> None:
+    truth, rng = [*tour_poses(0), *tour_poses(0)[:40]], np.random.default_rng(5)
+    engine = SlamEngine(PARAMS, PointMap(PARAMS.map), "mapping")
+    chart, beside = engine.chart, Pose2(0.2, 0.1, 0.3)
+    assert chart is not None
+    for row, pose in enumerate(truth):
+        cloud = cloud_at(lab(0), pose, rng, sigma_m=0.01, stamp_ns=row)
+        believed = truth[0]
+        if row:
+            believed = chart.newest @ (truth[row - 1].inverse() @ pose) @ DRIFT
+        engine.join(cloud, believed, STEP)
+        if row == 60:
+            then, anchor = believed @ beside, engine.anchored(believed @ beside)
+    now = engine.unanchored(*anchor)
+    assert now.distance_to(then) > 0.2
+    assert now.distance_to(chart.pose(60) @ beside) < 1e-9
+    revision, scans = engine.map.revision, len(engine.map.path)
+    assert engine.map.path[60][1].distance_to(chart.pose(60)) > 0.2
+    engine.settle()
+    assert engine.map.revision == revision + 1
+    assert len(engine.map.path) == scans
+    for (_, settled), row in zip(engine.map.path, chart.poses, strict=True):
+        assert settled.distance_to(Pose2.from_array(row)) < 1e-9
+    engine.settle()  # nothing has moved since
+    assert engine.map.revision == revision + 1
+
+
+def test_what_grows_follows_what_is_finished_keeps_its_shape() -> None:
+    rng = np.random.default_rng(0)
+    poses = [Pose2(0.6 * n, 0.0, 0.0) for n in range(8)]
+    submaps = Submaps(PARAMS.map, length_m=3.0)
+    for row, pose in enumerate(poses):
+        cloud = cloud_at(lab(0), tour_poses(0)[row], rng, sigma_m=0.01, stamp_ns=row)
+        submaps.insert(row, cloud, pose, [0.6 * n for n in range(row + 1)])
+    (finished,) = submaps.finished
+    shape = [pose for _, pose in finished.map.path]
+    moved = np.array([(Pose2(1.0, 2.0, 0.5) @ pose).as_array() for pose in poses])
+    submaps.move(moved)
+    assert [pose for _, pose in finished.map.path] == shape
+    assert finished.map_from_submap(moved).distance_to(Pose2(1.0, 2.0, 0.5)) < 1e-9
+    for stamp_ns, pose in submaps.local.path:
+        assert pose.distance_to(Pose2.from_array(moved[stamp_ns])) < 1e-9
 
 
 def test_one_witness_closes_nothing() -> None:
