@@ -107,6 +107,7 @@ class Comparison:
 
     @property
     def bias(self) -> tuple[float, float, float]:
-        """Mean (dx m, dy m, dtheta rad)."""
-        x, y, theta = (self._sum / max(self.way.count, 1)).tolist()
+        """Mean (dx m, dy m, dtheta rad): not every camera tells a heading each time."""
+        counts = (self.way.count, self.way.count, self.turn.count)
+        x, y, theta = (self._sum / np.maximum(counts, 1)).tolist()
         return x, y, theta
