@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Self
 
@@ -101,7 +101,7 @@ def bridge(endpoint: str, port: int, interface: str) -> Iterator[None]:
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     to_robots = [f"{interface}/+/+/+/{topic}" for topic in ("instantActions", "state")]
     with (
-        zenoh.open(config) as session,
+        closing(zenoh.open(config)) as session,  # callbacks may still put
         Client(port, to_robots, lambda heard: session.put(heard.topic, heard.payload)) as client,
     ):
         session.declare_subscriber(

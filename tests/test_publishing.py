@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 import pytest
@@ -79,7 +79,8 @@ def session(mode: str, **options: Any) -> Iterator[zenoh.Session]:
     config.insert_json5("scouting/multicast/enabled", "false")
     for name, endpoints in options.items():
         config.insert_json5(f"{name}/endpoints", json.dumps(endpoints))
-    with zenoh.open(config) as opened:
+    # close() while a thread of zenoh's puts is fine; the end of a "with" raises then
+    with closing(zenoh.open(config)) as opened:
         yield opened
 
 

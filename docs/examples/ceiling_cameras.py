@@ -9,6 +9,7 @@ import math
 import random
 import sys
 import time
+from contextlib import closing
 
 import zenoh
 
@@ -20,7 +21,7 @@ def main(endpoint: str, robot: str) -> None:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
-    with zenoh.open(config) as session:
+    with closing(zenoh.open(config)) as session:  # callbacks may still put
 
         def seen(sample: zenoh.Sample) -> None:
             pose = json.loads(sample.payload.to_bytes())
