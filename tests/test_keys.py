@@ -185,12 +185,67 @@ def test_the_revoked_are_not_heard_any_more(tmp_path: Path, site: Site, auth: Au
             assert set(heard) == {"amr8"}
 
 
-@pytest.mark.parametrize("kind", ["robot", "fleet"])
-def test_of_the_revoked_nothing_is_left(tmp_path: Path, kind: Literal["robot", "fleet"]) -> None:
+def test_cameras_are_heard_on_their_key_by_robots_and_may_do_nothing_else(
+    tmp_path: Path, site: Site, auth: Auth
+) -> None:
+    keys = tmp_path / "keys"
+    site.add_camera("ceiling", 30, key="cameras/*/pose")
+    heard: list[bytes] = []
+    overheard: list[bytes] = []
+    with router(load(keys), auth) as endpoint, ExitStack() as opened:
+        settings = ZenohSettings(listen=(), connect=(endpoint,), keys=keys / "robots/amr7")
+        robot = opened.enter_context(RobotPublisher(settings, "amr7"))
+        robot.hear("cameras/amr7/pose", heard.append)
+        board, camera, other = (
+            opened.enter_context(session(member(read_credentials(keys / who), endpoint)))
+            for who in ("fleet/board", "cameras/ceiling", "robots/amr8")
+        )
+        board.declare_subscriber("amr/*/pose", lambda s: overheard.append(s.payload.to_bytes()))
+        camera.declare_subscriber(
+            "**", lambda _: overheard.append(b"by a camera"), allowed_origin=zenoh.Locality.REMOTE
+        )
+
+        def all_speak() -> bool:
+            robot.publish_pose(pose_of())
+            camera.put("amr/amr7/pose", b"forged")
+            other.put("cameras/amr7/pose", b"another robot's")
+            camera.put("cameras/amr7/pose", b"seen")
+            return len(heard) >= 20 and len(overheard) >= 20
+
+        until(all_speak)
+        assert set(heard) == {b"seen"}
+        assert set(overheard) == {pose_of().encode()}
+        assert not any(r.ok for r in camera.get("amr/amr7/pose", timeout=0.5))
+
+
+@pytest.mark.parametrize(
+    "key", ["amr/x/pose", "*/pose", "**", "amr7/tf", "uagv/x", "0/x", "a//b", "a/b#c", "", "a/$*"]
+)
+def test_a_camera_s_key_is_never_a_robot_s(tmp_path: Path, key: str) -> None:
     site = create(tmp_path / "keys", "hall3", ["10.0.0.1"])
-    add = site.add_robot if kind == "robot" else partial(site.add_controller, commands=True)
+    site.add_robot("amr7", 30)
+    site.allow_vda5050("uagv")
+    with pytest.raises(KeysError, match=r"a word of its own|no key expression"):
+        site.add_camera("ceiling", 30, key=key)
+    site.add_camera("ceiling", 30, key="cameras/**")
+    with pytest.raises(KeysError, match="camera ceiling speaks under it"):
+        site.add_robot("cameras", 30)
+    with pytest.raises(KeysError, match="camera ceiling speaks under it"):
+        site.allow_vda5050("cameras")
+
+
+@pytest.mark.parametrize("kind", ["robot", "fleet", "camera"])
+def test_of_the_revoked_nothing_is_left(
+    tmp_path: Path, kind: Literal["robot", "fleet", "camera"]
+) -> None:
+    site = create(tmp_path / "keys", "hall3", ["10.0.0.1"])
+    add: dict[str, Callable[[str, int], object]] = {
+        "robot": site.add_robot,
+        "fleet": partial(site.add_controller, commands=True),
+        "camera": partial(site.add_camera, key="cameras/*/pose"),
+    }
     for name in ("kept", "gone"):
-        add(name, 30)
+        add[kind](name, 30)
     folder = {member.name: member.folder for member in site.members()}["gone"]
     site.revoke(kind, "gone")
     for known in (site, load(tmp_path / "keys")):
@@ -235,11 +290,13 @@ def test_the_command_makes_a_site_and_says_where_its_folders_go(
     assert main(["keys", "init", "--site", "hall3", "--router", "10.0.0.5", "--dir", keys]) == 0
     assert main(["keys", "robot", "amr7", "--dir", keys]) == 0
     assert main(["keys", "fleet", "main", "--commands", "--dir", keys]) == 0
+    assert main(["keys", "camera", "ceiling", "--key", "cameras/*", "--dir", keys]) == 0
     assert f"copy {keys}/robots/amr7/" in capsys.readouterr().out
     assert main(["keys", "list", "--dir", keys]) == 0
     out = capsys.readouterr().out
     assert "robot amr7: until 20" in out
     assert "fleet main (commands): until 20" in out
+    assert "camera ceiling (cameras/*): until 20" in out
     assert main(["keys", "vda5050", "uagv", "--dir", keys]) == 0
     assert "uagv/VERSION/MANUFACTURER/ROBOT/" in capsys.readouterr().out
     assert "uagv/*/*/amr7/visualization" in (tmp_path / "keys/router/router.json5").read_text()

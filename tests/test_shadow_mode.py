@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import zenoh
 from daemon_rig import Daemon, Robot
+from test_commands import Controller
 from test_publishing import session
 
 from amr_slam.aligning import read_pairs
@@ -102,6 +103,25 @@ def test_differences_are_told_and_nothing_else_changes(tmp_path: Path) -> None:
             daemon.status_when(goes_on, "differences go on")
             poses = daemon.next_poses(100)
             assert {b.seq - a.seq for a, b in itertools.pairwise(poses)} == {1}
+
+            # A robot that has to find itself in its map is compared from then on.
+            controller = Controller(opened)
+            controller.done("save_map", name="finished")
+            controller.done("load_map", name="finished")
+
+            def located(status: StatusMessage) -> bool:
+                return (status.mode, status.state) == ("localization", "localized")
+
+            there = daemon.status_when(located, "localized").shadow
+            assert there is not None
+            assert there.unlocalized > told.unlocalized
+
+            def compared_there(status: StatusMessage) -> bool:
+                return status.shadow is not None and status.shadow.count >= there.count + 100
+
+            told = daemon.status_when(compared_there, "a hundred differences there").shadow
+            assert told is not None
+            assert told.mean_m == pytest.approx(BESIDE_M, abs=0.01)
         assert "shadow, ceiling/*/pose: " in daemon.log()
         assert daemon.stop() == 0
     pairs = read_pairs(tmp_path / "shadow" / "amr7-shadow.csv")

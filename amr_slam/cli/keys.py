@@ -1,4 +1,4 @@
-"""``amr-slam keys init|robot|fleet|revoke|ros2|vda5050|list``."""
+"""``amr-slam keys init|robot|fleet|camera|revoke|ros2|vda5050|list``."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ def run(arguments: argparse.Namespace) -> int:
             )
             rights = "may look and command" if arguments.commands else "may only look"
             _say(f"{member.folder}/ is for controller {member.name}: it {rights}")
+        case "camera":
+            site = load(arguments.dir)
+            member = site.add_camera(arguments.name, arguments.days, key=arguments.key)
+            _say(f"{member.folder}/ is for the camera system: it may publish {member.key} only")
+            _say(f'robots compare with it by\n[shadow]\nkey = "{member.key}"')
         case "revoke":
             load(arguments.dir).revoke(arguments.kind, arguments.name)
         case "ros2":
@@ -61,7 +66,7 @@ def _init(arguments: argparse.Namespace) -> int:
 
 
 def _line(member: Member) -> str:
-    rights = " (commands)" if member.commands else ""
+    rights = " (commands)" if member.commands else "" if member.key is None else f" ({member.key})"
     until = "password" if member.expires is None else f"until {member.expires:%Y-%m-%d}"
     soon = ": renew it" if expires_soon(member) else ""
     return f"{member.kind} {member.name}{rights}: {until}{soon}"

@@ -7,13 +7,16 @@ allows is dropped without an answer.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Literal
 
 from amr_slam.encodings.ros2 import ros2_keys
 from amr_slam.encodings.vda5050 import vda5050_keys
 
 Rules = dict[str, Any]
+Kind = Literal["robot", "fleet", "camera"]
+"""Of members: a fleet's are its controllers."""
 
 # What controllers may read by ``get``; commands are not among it.
 _READABLE = ("pose", "fleet_pose", "status", "scan", "map", "map/**", "vda5050/**")
@@ -35,6 +38,7 @@ def access_control(
     by: str,
     ros2_domain: int | None = None,
     vda5050: str | None = None,
+    cameras: Mapping[str, str] = MappingProxyType({}),
 ) -> Rules:
     """The router's ``access_control``.
 
@@ -42,7 +46,8 @@ def access_control(
     members; ``by``: ``cert_common_names`` (TLS) or ``usernames`` (passwords). With
     ``ros2_domain``, robots also speak ROS 2 in it, each in the namespace of its name; with
     ``vda5050``, the first level of that standard's topics, each under its name as serial number.
-    Initial poses and instant actions are commands, as what is under ``cmd/``.
+    Initial poses and instant actions are commands, as what is under ``cmd/``. ``cameras``: systems
+    whose poses robots compare with their own (shadow mode), by name, and each one's key expression.
     """
     rules: list[Rules] = []
     policies: list[Rules] = []
@@ -75,7 +80,7 @@ def access_control(
         )
         hears = allow(f"{robot} is asked", ("query",), "egress", (own, *ros2.keeps))
         takes: list[str] = []
-        if told := (*ros2.commands, *vda.commands):
+        if told := (*ros2.commands, *vda.commands, *cameras.values()):
             takes += [
                 allow(f"{robot} listens", ("declare_subscriber",), "ingress", told),
                 allow(f"{robot} is told", ("put",), "egress", told),
@@ -88,7 +93,7 @@ def access_control(
             "egress",
             ("**", *_graph(ros2_domain)),
         )
-        let(robot, (member(robot=robot),), (says, hears, learns, *takes))
+        let(robot, (member("robot", robot),), (says, hears, learns, *takes))
     ros2, vda = ros2_keys(ros2_domain), vda5050_keys(vda5050)
     # A fleet control of VDA 5050 looks at all that its vehicles say there.
     topics = () if vda5050 is None else (f"{vda5050}/**",)
@@ -117,10 +122,16 @@ def access_control(
             allow("controllers find robots", ("declare_subscriber",), "egress", told),
         ]
     if commanders:
-        names = [member(controller=name) for name in commanders]
+        names = [member("fleet", name) for name in commanders]
         let("commanders", names, (listens, asks, hear, *command))
     if watchers:
-        let("watchers", [member(controller=name) for name in watchers], (listens, asks, hear))
+        let("watchers", [member("fleet", name) for name in watchers], (listens, asks, hear))
+    for name, key in cameras.items():
+        sees = allow(f"camera {name} says", ("put",), "ingress", (key,))
+        finds = allow(
+            f"camera {name} learns of listeners", ("declare_subscriber",), "egress", (key,)
+        )
+        let(f"camera {name}", (member("camera", name),), (sees, finds))
     if by == "cert_common_names":
         # A router of the site has judged by the same rules what it passes on.
         passes = allow("routers pass on", _ALL, "ingress", ("**",))
@@ -161,6 +172,6 @@ def size_limits(prefix: str, max_bytes: int, *, ros2: bool = False) -> list[Rule
     ]
 
 
-def member(*, robot: str | None = None, controller: str | None = None) -> str:
-    """The common name or user name of a robot or a controller: never each other's."""
-    return f"robot-{robot}" if robot is not None else f"fleet-{controller}"
+def member(kind: Kind, name: str) -> str:
+    """The common name or user name of a member: those of one kind are never another's."""
+    return f"{kind}-{name}"

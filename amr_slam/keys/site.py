@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import secrets
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,12 +16,14 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from amr_slam import credentials
 from amr_slam.keys.authority import KeyPair, issue, new_authority
-from amr_slam.keys.rules import ROUTER, access_control, member, size_limits
+from amr_slam.keys.files import MAX_BYTES, KeysError, read, write
+from amr_slam.keys.rules import ROUTER, Kind, access_control, member, size_limits
 from amr_slam.wire import MAX_MAP_BYTES, MAX_MESSAGE_BYTES
 
 _STATE: Final = "site.json"
-_MAX_STATE_BYTES: Final = 4 * 1024 * 1024
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,63}")
+_PART: Final = re.compile(r"\*\*?|[A-Za-z0-9_.-]+")
+_FOLDERS: Final[dict[Kind, str]] = {"robot": "robots", "fleet": "fleet", "camera": "cameras"}
 _ROUTER_PORT: Final = 7447
 _LEASE_MS: Final = 1000
 _QUEUE_BATCHES: Final = 16  # as in robots' and controllers' sessions
@@ -33,18 +33,16 @@ _MAX_PASSED_BYTES: Final = MAX_MAP_BYTES + MAX_MESSAGE_BYTES
 Auth = Literal["tls", "password"]
 
 
-class KeysError(Exception):
-    """What cannot be done to a site's keys: one line that names the file or the member."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Member:
-    """A robot or a controller of a site."""
+    """A robot, a controller or a camera system of a site."""
 
-    kind: Literal["robot", "fleet"]
+    kind: Kind
     name: str
     commands: bool
     """A controller that may call commands."""
+    key: str | None
+    """A camera system's: what it may publish."""
     folder: Path
     expires: datetime | None
     """None: a password, which does not."""
@@ -60,6 +58,8 @@ class _State(BaseModel):
     robots: Annotated[list[str], Len(0, 20_000)] = []
     fleet: Annotated[dict[str, bool], Len(0, 20_000)] = {}
     """Controllers, and whether they may call commands."""
+    cameras: Annotated[dict[str, str], Len(0, 1000)] = {}
+    """Camera systems, and the key expression of the poses of each."""
     ros2_domain: Annotated[int, Interval(ge=0, le=232)] | None = None
     vda5050: str | None = None
 
@@ -84,8 +84,8 @@ def create(
     made = Site(folder, state)
     if auth == "tls":
         authority = new_authority(site)
-        _write(folder / "authority" / credentials.KEY, authority.key, private=True)
-        _write(folder / "authority" / credentials.AUTHORITY, authority.certificate)
+        write(folder / "authority" / credentials.KEY, authority.key, private=True)
+        write(folder / "authority" / credentials.AUTHORITY, authority.certificate)
         made.renew_router(days)
     made.save()
     return made
@@ -96,7 +96,7 @@ def load(folder: Path) -> Site:
     path = folder / _STATE
     try:
         with path.open("rb") as stream:
-            state = _State.model_validate_json(stream.read(_MAX_STATE_BYTES))
+            state = _State.model_validate_json(stream.read(MAX_BYTES))
     except FileNotFoundError as error:
         raise KeysError(f"{folder}: no site's folder; begin with 'amr-slam keys init'") from error
     except OSError as error:
@@ -125,6 +125,7 @@ class Site:
 
     def add_robot(self, name: str, days: int) -> Member:
         """A robot's folder; one that is known gets new keys. Raises KeysError."""
+        self._free(name)
         self._issue("robot", name, days)
         if name not in self._state.robots:
             self._state.robots.append(name)
@@ -138,12 +139,23 @@ class Site:
         self.save()
         return self._member("fleet", name)
 
-    def revoke(self, kind: Literal["robot", "fleet"], name: str) -> None:
+    def add_camera(self, name: str, days: int, *, key: str) -> Member:
+        """The folder of a camera system, which may publish poses on ``key`` and nothing else, for
+        robots in shadow mode to hear. Raises KeysError, also where a key could be a robot's."""
+        _checked(name)
+        self._state.cameras[name] = self._apart(key)
+        self._issue("camera", name, days)
+        self.save()
+        return self._member("camera", name)
+
+    def revoke(self, kind: Kind, name: str) -> None:
         """From the router's next start on, the member's keys open nothing. Raises KeysError."""
         if kind == "robot" and name in self._state.robots:
             self._state.robots.remove(name)
         elif kind == "fleet" and name in self._state.fleet:
             del self._state.fleet[name]
+        elif kind == "camera" and name in self._state.cameras:
+            del self._state.cameras[name]
         else:
             raise KeysError(f"{self._folder}: no {kind} is named {name!r}")
         for file in (credentials.KEY, credentials.CERTIFICATE, credentials.LOGIN):
@@ -161,13 +173,13 @@ class Site:
         ``interface``, each under its name as serial number; None: none may. Raises KeysError."""
         if interface is not None:
             _checked(interface)
+            self._free(interface)
         self._state.vda5050 = interface
         self.save()
 
     def members(self) -> list[Member]:
-        """Robots, then controllers, by name. Raises KeysError when a file is damaged."""
-        robots = [self._member("robot", name) for name in sorted(self._state.robots)]
-        return robots + [self._member("fleet", name) for name in sorted(self._state.fleet)]
+        """Robots, controllers, then cameras, by name. Raises KeysError when a file is damaged."""
+        return [self._member(kind, name) for kind, name in self._names()]
 
     def renew_router(self, days: int) -> None:
         """New keys for the router."""
@@ -177,11 +189,11 @@ class Site:
     def save(self) -> None:
         """Write the site's state and the router's configuration."""
         text = self._state.model_dump_json(indent=1) + "\n"
-        _write(self._folder / _STATE, text.encode())
+        write(self._folder / _STATE, text.encode())
         settings = json.dumps(self.router_settings(self.router_folder.resolve()), indent=1) + "\n"
-        _write(self.router_folder / "router.json5", settings.encode())
+        write(self.router_folder / "router.json5", settings.encode())
         if self._state.auth == "password":
-            _write(self.router_folder / "users.txt", self._users().encode(), private=True)
+            write(self.router_folder / "users.txt", self._users().encode(), private=True)
 
     def router_settings(self, folder: Path) -> dict[str, object]:
         """zenohd's configuration, for a router that has the router's files in ``folder``."""
@@ -199,6 +211,7 @@ class Site:
                 by="cert_common_names" if tls else "usernames",
                 ros2_domain=state.ros2_domain,
                 vda5050=state.vda5050,
+                cameras=state.cameras,
             ),
             "low_pass_filter": size_limits(
                 state.prefix, MAX_MESSAGE_BYTES, ros2=state.ros2_domain is not None
@@ -218,15 +231,41 @@ class Site:
             transport["auth"] = {"usrpwd": {"dictionary_file": dictionary}}
         return settings | {"transport": transport}
 
-    def _issue(self, kind: Literal["robot", "fleet"], name: str, days: int) -> None:
+    def _names(self) -> list[tuple[Kind, str]]:
+        return [
+            *(("robot", name) for name in sorted(self._state.robots)),
+            *(("fleet", name) for name in sorted(self._state.fleet)),
+            *(("camera", name) for name in sorted(self._state.cameras)),
+        ]
+
+    def _apart(self, key: str) -> str:
+        """A camera system's key expression: its first part is its own, so that no robot's key,
+        in whatever form robots speak, ever lies within."""
+        parts = key.split("/")
+        theirs = {self._state.prefix.split("/")[0], self._state.vda5050, *self._state.robots}
+        if len(key) > 256 or not all(_PART.fullmatch(part) for part in parts):
+            raise KeysError(f"{key!r}: no key expression such as cameras/*/pose")
+        if not _NAME.fullmatch(parts[0]) or parts[0].isdigit() or parts[0] in theirs:
+            raise KeysError(
+                f"{key!r}: should begin with a word of its own; robots speak under {parts[0]!r}"
+            )
+        return key
+
+    def _free(self, word: str) -> None:
+        """Raises KeysError where robots are to speak under a word that is a camera system's."""
+        for name, key in self._state.cameras.items():
+            if key.split("/")[0] == word:
+                raise KeysError(f"{word!r}: camera {name} speaks under it, on {key}")
+
+    def _issue(self, kind: Kind, name: str, days: int) -> None:
         _checked(name)
-        common_name = member(robot=name) if kind == "robot" else member(controller=name)
+        common_name = member(kind, name)
         place = self._place(kind, name)
         if self._state.auth == "tls":
             self._write_pair(place, common_name, [common_name, "localhost", "127.0.0.1"], days)
         else:
             login = {"user": common_name, "password": secrets.token_urlsafe(24)}
-            _write(place / credentials.LOGIN, json.dumps(login).encode(), private=True)
+            write(place / credentials.LOGIN, json.dumps(login).encode(), private=True)
 
     def _write_pair(self, place: Path, name: str, hosts: Sequence[str], days: int) -> None:
         authority = self._authority()
@@ -234,42 +273,41 @@ class Site:
             pair = issue(authority, name, hosts, days)
         except ValueError as error:
             raise KeysError(f"{self._folder / 'authority'}: damaged: {error}") from error
-        _write(place / credentials.KEY, pair.key, private=True)
-        _write(place / credentials.CERTIFICATE, pair.certificate)
-        _write(place / credentials.AUTHORITY, authority.certificate)
+        write(place / credentials.KEY, pair.key, private=True)
+        write(place / credentials.CERTIFICATE, pair.certificate)
+        write(place / credentials.AUTHORITY, authority.certificate)
 
     def _authority(self) -> KeyPair:
         place = self._folder / "authority"
         return KeyPair(
-            key=_read(place / credentials.KEY), certificate=_read(place / credentials.AUTHORITY)
+            key=read(place / credentials.KEY), certificate=read(place / credentials.AUTHORITY)
         )
 
-    def _place(self, kind: Literal["robot", "fleet"], name: str) -> Path:
-        return self._folder / ("robots" if kind == "robot" else "fleet") / name
+    def _place(self, kind: Kind, name: str) -> Path:
+        return self._folder / _FOLDERS[kind] / name
 
-    def _member(self, kind: Literal["robot", "fleet"], name: str) -> Member:
+    def _member(self, kind: Kind, name: str) -> Member:
         place = self._place(kind, name)
         expires = None
         if self._state.auth == "tls":
             path = place / credentials.CERTIFICATE
             try:
-                expires = KeyPair(key=b"", certificate=_read(path)).expires
+                expires = KeyPair(key=b"", certificate=read(path)).expires
             except ValueError as error:
                 raise KeysError(f"{path}: no certificate in it") from error
         return Member(
             kind=kind,
             name=name,
             commands=self._state.fleet.get(name, False) if kind == "fleet" else False,
+            key=self._state.cameras.get(name) if kind == "camera" else None,
             folder=place,
             expires=expires,
         )
 
     def _users(self) -> str:
-        places = [self._place("robot", name) for name in self._state.robots]
-        places += [self._place("fleet", name) for name in self._state.fleet]
         lines = []
-        for place in places:
-            login = credentials.read_credentials(place).login
+        for kind, name in self._names():
+            login = credentials.read_credentials(self._place(kind, name)).login
             assert login is not None
             lines.append(f"{login[0]}:{login[1]}\n")
         return "".join(lines)
@@ -284,23 +322,3 @@ def expires_soon(member: Member, now: datetime | None = None) -> bool:
 def _checked(name: str) -> None:
     if not _NAME.fullmatch(name):
         raise KeysError(f"{name!r}: should be 1 to 64 letters, digits, '_', '-' or '.'")
-
-
-def _read(path: Path) -> bytes:
-    try:
-        with path.open("rb") as stream:
-            return stream.read(_MAX_STATE_BYTES)
-    except OSError as error:
-        raise KeysError(f"{path}: {error.strerror}") from error
-
-
-def _write(path: Path, content: bytes, *, private: bool = False) -> None:
-    """Whole or not at all; private files are never readable by others, not even for a moment."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, fresh = tempfile.mkstemp(dir=path.parent)
-    with os.fdopen(descriptor, "wb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
-        os.fchmod(stream.fileno(), 0o600 if private else 0o644)
-    os.replace(fresh, path)

@@ -17,6 +17,7 @@ from amr_slam.aligning import FitParams, fit_pairs, read_pairs
 from amr_slam.geometry import Pose2
 from amr_slam.samples import State
 from amr_slam.shadow import FrameSettings, Shadow, ShadowSettings
+from amr_slam.shadow.comparison import Comparison
 from amr_slam.wire import ShadowPart
 
 START_S = 1_790_000_000.0
@@ -105,6 +106,13 @@ def test_two_systems_that_agree(made: Any, headings: bool) -> None:
     assert (part.rms_rad is not None) is headings
     assert 1 <= len(part.zones) <= 5
     assert part.zones[0].rms_m >= part.zones[-1].rms_m
+
+
+def test_a_heading_s_bias_is_the_mean_over_those_that_tell_one() -> None:
+    comparison = Comparison("a map", 0.0, 5.0)
+    for turn in (0.1, None, 0.3, None):
+        comparison.add(1.0, 2.0, (0.02, -0.04, turn))
+    assert comparison.bias == pytest.approx((0.02, -0.04, 0.2))
 
 
 def test_clocks_of_different_times_are_brought_together(made: Any) -> None:

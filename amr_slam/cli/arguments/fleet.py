@@ -97,14 +97,23 @@ def add_keys(commands: Subparsers[Parser]) -> None:
         "amr-slam keys fleet controller --commands",
     )
     fleet.add_argument("--commands", action="store_true", help="it may call commands")
+    camera = add_command(
+        actions,
+        "camera",
+        "keys for a camera system that robots compare with: it may publish its key, nothing else",
+        "amr-slam keys camera ceiling --key 'cameras/*/pose'",
+    )
+    camera.add_argument(
+        "--key", metavar="KEY", required=True, help="key expression, as [shadow] key has it"
+    )
     revoke = add_command(
         actions,
         "revoke",
         "a member's keys open nothing any more",
         "amr-slam keys revoke robot amr7",
     )
-    revoke.add_argument("kind", choices=("robot", "fleet"))
-    for parser in (robot, fleet, revoke):
+    revoke.add_argument("kind", choices=("robot", "fleet", "camera"))
+    for parser in (robot, fleet, camera, revoke):
         parser.add_argument("name", metavar="NAME")
     ros2 = add_command(
         actions,
@@ -132,11 +141,11 @@ def add_keys(commands: Subparsers[Parser]) -> None:
     listed = add_command(
         actions, "list", "members and when their keys expire", "amr-slam keys list"
     )
-    for parser in (init, robot, fleet, revoke, ros2, vda5050, listed):
+    for parser in (init, robot, fleet, camera, revoke, ros2, vda5050, listed):
         parser.add_argument(
             "--dir", type=Path, default=Path("keys"), help="the site's folder (default keys)"
         )
-    for parser in (init, robot, fleet):
+    for parser in (init, robot, fleet, camera):
         parser.add_argument(
             "--days", type=days, default=730, help="certificates are valid for (default 730)"
         )
