@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Literal, Self
 
 from amr_drivers.emulators.cola.device import ColaDevice, Mode, damaged
 from amr_drivers.emulators.cola.models import LMS111, MODELS, ColaModel
-from amr_drivers.emulators.cola.server import Connection, DeviceServer
+from amr_drivers.emulators.tcp_server import Connection, DeviceServer
 from amr_drivers.errors import BadTelegram
-from amr_drivers.sick_cola.framing import Dialect, Frame
+from amr_drivers.sick_cola.framing import ColaAReader, ColaBReader, Dialect, Frame, FrameReader
 from amr_drivers.sick_cola.messages import SCAN, Message, parse_message
 from amr_drivers.sick_cola.settings import Settings
 from amr_slam.geometry import Array
 from amr_slam.simulation import ScannerModel
+
+
+@dataclass(slots=True)
+class _Client:
+    readers: dict[Dialect, FrameReader] = field(
+        default_factory=lambda: {Dialect.A: ColaAReader(), Dialect.B: ColaBReader()}
+    )
+    mute: bool = False
+    """The wrong dialect was heard: nothing is answered any more."""
+    subscribed: bool = False
 
 
 class EmulatedCola:
@@ -48,7 +58,7 @@ class EmulatedCola:
         self._cut_at: int | None = None
         self._damage: int | None = None
         self._speech: bytes | None = None
-        self._server = DeviceServer(host, port, self._greet, self._hear)
+        self._server = DeviceServer(host, port, _Client, connected=self._greet, heard=self._hear)
 
     @property
     def port(self) -> int:
@@ -107,7 +117,7 @@ class EmulatedCola:
             first_ns = self._device.measure(ranges_m)
             if self._device.mode == "standby" or self._speech is not None or self.silent:
                 return first_ns
-            clients = [c for c in self._server.connections() if c.subscribed]
+            clients = [c for c in self._server.connections() if c.held.subscribed]
             for connection in clients:
                 self._send_scan(connection, "sSN")
         return first_ns
@@ -161,26 +171,26 @@ class EmulatedCola:
     ) -> None:
         self.close()
 
-    def _greet(self, connection: Connection) -> None:
+    def _greet(self, connection: Connection[_Client]) -> None:
         if self._speech is not None and not self.silent:
             connection.send(self._speech)
 
-    def _hear(self, connection: Connection, data: bytes) -> None:
+    def _hear(self, connection: Connection[_Client], data: bytes) -> None:
         with self._lock:
             if self.silent:
                 return
             if self._speech is not None:
                 connection.send(self._speech)
                 return
-            for dialect, reader in connection.readers.items():
+            for dialect, reader in connection.held.readers.items():
                 for frame in reader.feed(data):
                     if dialect is self._device.dialect:
                         self._serve(connection, frame)
                     elif self._mute:
-                        connection.mute = True
+                        connection.held.mute = True
 
-    def _serve(self, connection: Connection, frame: Frame) -> None:
-        if connection.mute:
+    def _serve(self, connection: Connection[_Client], frame: Frame) -> None:
+        if connection.held.mute:
             return
         try:
             request = parse_message(frame.payload, frame.dialect)
@@ -194,9 +204,9 @@ class EmulatedCola:
             return
         connection.send(self._device.answer(request))
         if subscription is not None:
-            connection.subscribed = subscription
+            connection.held.subscribed = subscription
 
-    def _send_scan(self, connection: Connection, word: Literal["sRA", "sSN"]) -> None:
+    def _send_scan(self, connection: Connection[_Client], word: Literal["sRA", "sSN"]) -> None:
         telegram = self._device.scan(word)
         if self._damage is not None:
             telegram, self._damage = damaged(telegram, self._device.dialect, self._damage), None

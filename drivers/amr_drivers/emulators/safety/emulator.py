@@ -6,15 +6,15 @@ import contextlib
 import math
 import socket
 import threading
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Final, Self
 
 from amr_drivers.emulators.safety.damage import cut, spoilt_answer, spoilt_datagrams
 from amr_drivers.emulators.safety.device import Mode, SafetyDevice
 from amr_drivers.emulators.safety.models import MICROSCAN3, NANOSCAN3, SafetyModel
-from amr_drivers.emulators.safety.server import Connection, Server
-from amr_drivers.sick_safety.cola2 import Command, Frame, encode_frame
+from amr_drivers.emulators.tcp_server import Connection, DeviceServer
+from amr_drivers.sick_safety.cola2 import Command, Frame, FrameReader, encode_frame
 from amr_drivers.sick_safety.datagrams import fragments
 from amr_drivers.sick_safety.settings import Settings
 from amr_drivers.sick_safety.variables import CHANNELS, LATEST_TELEGRAM
@@ -22,6 +22,13 @@ from amr_slam.geometry import Array
 from amr_slam.simulation import ScannerModel
 
 _DATAGRAM: Final = 1460
+
+
+@dataclass(slots=True)
+class _Client:
+    reader: FrameReader = field(default_factory=FrameReader)
+    sessions: set[int] = field(default_factory=set)
+    """Opened by it."""
 
 
 class EmulatedSafety:
@@ -53,7 +60,10 @@ class EmulatedSafety:
         try:
             self._datagrams.setblocking(False)
             self._datagrams.bind((host, 0))
-            self._server = Server(host, port, self._greet, self._hear, self._forget)
+            self._server = DeviceServer(
+                host, port, _Client,
+                connected=self._greet, heard=self._hear, gone=self._forget,
+            )  # fmt: skip
         except OSError:
             self._datagrams.close()
             raise
@@ -207,17 +217,17 @@ class EmulatedSafety:
             with contextlib.suppress(OSError):  # nobody listens, or nobody reads
                 self._datagrams.sendto(datagram, receiver)
 
-    def _greet(self, connection: Connection) -> None:
+    def _greet(self, connection: Connection[_Client]) -> None:
         if self._speech is not None and not self.silent:
             connection.send(self._speech)
 
-    def _forget(self, connection: Connection) -> None:
+    def _forget(self, connection: Connection[_Client]) -> None:
         with self._lock:
-            for session in connection.sessions:
+            for session in connection.held.sessions:
                 self._device.sessions.pop(session, None)
 
-    def _hear(self, connection: Connection, data: bytes) -> None:
-        questions = connection.reader.feed(data)
+    def _hear(self, connection: Connection[_Client], data: bytes) -> None:
+        questions = connection.held.reader.feed(data)
         if self.silent:
             return
         if self._speech is not None:
@@ -227,7 +237,7 @@ class EmulatedSafety:
             with self._lock:
                 answer = self._device.answer(question)
                 if answer.command == Command.OPENED:
-                    connection.sessions.add(answer.session)
+                    connection.held.sessions.add(answer.session)
                 spoilt = self._spoilt(answer)
             if spoilt is None:
                 connection.send(encode_frame(answer))

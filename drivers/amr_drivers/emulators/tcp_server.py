@@ -7,32 +7,28 @@ import select
 import socket
 import threading
 from collections.abc import Callable
+from typing import Final, Generic, TypeVar
 
-from amr_drivers.sick_cola.framing import ColaAReader, ColaBReader, Dialect, FrameReader
+Held = TypeVar("Held")
+"""What a device holds for each of its clients."""
 
-_SLICE_S = 0.02
-_QUEUE = 262_144
+_SLICE_S: Final = 0.02
+_QUEUE: Final = 262_144
 """Bytes that a device keeps for a reader who does not read; what comes then is lost as a whole."""
-_KERNEL_BYTES = 65_536
+_KERNEL_BYTES: Final = 65_536
 
 
-class Connection:
+class Connection(Generic[Held]):
     """One client. ``send`` never waits; any thread."""
 
-    def __init__(self, client: socket.socket) -> None:
+    def __init__(self, client: socket.socket, held: Held) -> None:
+        self.held = held
         client.setblocking(False)
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         client.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES)
         self._client = client
         self._queue = bytearray()
         self._lock = threading.Lock()
-        self.readers: dict[Dialect, FrameReader] = {
-            Dialect.A: ColaAReader(),
-            Dialect.B: ColaBReader(),
-        }
-        self.mute = False
-        """The wrong dialect was heard: nothing is answered any more."""
-        self.subscribed = False
 
     def send(self, data: bytes) -> None:
         """Send now, or as soon as the client reads."""
@@ -78,21 +74,24 @@ class Connection:
             del self._queue[:sent]
 
 
-class DeviceServer:
+class DeviceServer(Generic[Held]):
     """Listens on one address, with one thread for all connections."""
 
     def __init__(
         self,
         host: str,
         port: int,
-        connected: Callable[[Connection], None],
-        heard: Callable[[Connection, bytes], None],
+        hold: Callable[[], Held],
+        *,
+        connected: Callable[[Connection[Held]], None],
+        heard: Callable[[Connection[Held], bytes], None],
+        gone: Callable[[Connection[Held]], None] | None = None,
     ) -> None:
-        """``connected`` and ``heard`` are called by the server's thread. Raises OSError."""
-        self._connected = connected
-        self._heard = heard
+        """``port`` 0 lets the system choose. ``hold`` makes what a new connection holds. All are
+        called by the server's thread, ``gone`` by others, too. Raises OSError."""
+        self._hold, self._connected, self._heard, self._gone = hold, connected, heard, gone
         self._lock = threading.Lock()
-        self._connections: list[Connection] = []
+        self._connections: list[Connection[Held]] = []
         self._listener: socket.socket | None = None
         self._address = (host, port)
         self.plug()
@@ -105,7 +104,7 @@ class DeviceServer:
         """Where it listens; stays the same after :meth:`unplug`."""
         return self._address[1]
 
-    def connections(self) -> list[Connection]:
+    def connections(self) -> list[Connection[Held]]:
         """The clients of this moment."""
         with self._lock:
             return list(self._connections)
@@ -134,12 +133,15 @@ class DeviceServer:
         for connection in self.connections():
             self.cut(connection)
 
-    def cut(self, connection: Connection) -> None:
+    def cut(self, connection: Connection[Held]) -> None:
         """Hang up on one client."""
         with self._lock:
-            if connection in self._connections:
-                self._connections.remove(connection)
+            if connection not in self._connections:
+                return
+            self._connections.remove(connection)
         connection.close()
+        if self._gone is not None:
+            self._gone(connection)
 
     def close(self) -> None:
         """Idempotent."""
@@ -172,11 +174,11 @@ class DeviceServer:
                 client, _ = self._listener.accept()
             except OSError:  # nobody has called
                 return
-            connection = Connection(client)
+            connection = Connection(client, self._hold())
             self._connections.append(connection)
         self._connected(connection)
 
-    def _read(self, connection: Connection) -> None:
+    def _read(self, connection: Connection[Held]) -> None:
         data = connection.receive()
         if data is None:
             self.cut(connection)
