@@ -66,7 +66,7 @@ def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(
         counts = topics_in(path)
         assert set(counts) == {
             *("/raw/front", "/raw/rear", "/raw/wheels", "/scan/front", "/scan/rear", "/wheels"),
-            *("/pose", "/status", "/decisions"),
+            *("/pose", "/status", "/decisions", "/tf", "/tf_static", "/scene", "/health"),
         }
         assert counts["/pose"] > 20
         log = read_log(path)

@@ -31,11 +31,12 @@ def main() -> int:
     world = laboratory(arguments.seed)
     tour = plan_tour(world)
     model = ScannerModel(sigma_xy_m=arguments.noise_xy, sigma_range_m=arguments.noise_range)
+    scanners = opposite_scanners(model) if arguments.scanners == 2 else (model,)
     errors = np.random.default_rng(arguments.seed).normal(0.0, arguments.odometry_error, 3)
     robot = SimulatedRobot(
         world=world,
         world_from_map=tour.world_from_map,
-        scanners=opposite_scanners(model) if arguments.scanners == 2 else (model,),
+        scanners=scanners,
         vehicle=Vehicle(
             left_radius_error=errors[0], right_radius_error=errors[1], track_error=errors[2]
         ),
@@ -46,7 +47,8 @@ def main() -> int:
     follower = PathFollower(tour.path_in_map_m)
     stamps, poses = [robot.stamp_ns], [robot.map_from_base]
     scans = 0
-    with RecordingWriter(arguments.out) as writer:
+    mountings = {scanner.name: scanner.base_from_lidar for scanner in scanners}
+    with RecordingWriter(arguments.out, mountings) as writer:
         while _goes_on(robot, follower, arguments.duration):
             for sample in robot.advance(*follower.steer(robot.map_from_base)):
                 writer.write(sample)

@@ -12,6 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from amr_slam.foxglove import (
+    POSE_IN_FRAME,
+    Fields,
+    as_bytes,
+    pose_fields,
+    pose_in_frame,
+    time_fields,
+)
 from amr_slam.geometry import Pose2
 from amr_slam.recording.raw import RAW_PREFIX, RAW_SCHEMA, encode_raw
 from amr_slam.recording.values import Sample
@@ -22,9 +30,6 @@ _BEAMS_BOUND = 20_000
 _JOINTS_BOUND = 64
 _COUNT_BOUND = (1 << 63) - 1
 _SECOND_NS = 1_000_000_000
-
-# Parsed JSON: what it holds is checked field by field.
-Fields = dict[str, Any]
 
 
 def _schema(title: str, required: Fields, optional: Fields | None = None) -> bytes:
@@ -64,7 +69,7 @@ _HEALTH = {
 }
 
 SCAN_SCHEMA = "foxglove.LaserScan"
-POSE_SCHEMA = "foxglove.PoseInFrame"
+POSE_SCHEMA = POSE_IN_FRAME
 WHEELS_SCHEMA = "amr_slam.WheelSample"
 PUBLISHED_SCHEMAS = {"pose": "amr_slam.PoseMessage", "status": "amr_slam.StatusMessage"}
 """Of what was published, by the last part of its key. The messages are :mod:`amr_slam.wire`'s; the
@@ -150,42 +155,38 @@ def encode_published(leaf: str, stamp_ns: int, payload: bytes) -> Entry:
 
 def encode_decision(stamp_ns: int, do: str, arguments: Any) -> Entry:
     """``arguments``: plain JSON values."""
-    data = _bytes({"do": do, "arguments": arguments})
+    data = as_bytes({"do": do, "arguments": arguments})
     return Entry("/decisions", DECISION_SCHEMA, stamp_ns, data)
 
 
 def _encode_sample(sample: Sample) -> tuple[str, str, int, bytes]:
     stamp_ns = sample.stamp_ns
     if isinstance(sample, Scan):
-        return f"/scan/{sample.scanner}", SCAN_SCHEMA, stamp_ns, _bytes(_scan_fields(sample))
+        return f"/scan/{sample.scanner}", SCAN_SCHEMA, stamp_ns, as_bytes(_scan_fields(sample))
     if isinstance(sample, OdometrySample):
         fields = _pose_fields(stamp_ns, "odom", sample.odom_from_base)
-        return "/odometry", POSE_SCHEMA, stamp_ns, _bytes(fields | {"segment": sample.segment})
+        return "/odometry", POSE_SCHEMA, stamp_ns, as_bytes(fields | {"segment": sample.segment})
     if isinstance(sample, JointSample):
         fields = {
-            "timestamp": _time(stamp_ns),
+            "timestamp": time_fields(stamp_ns),
             "names": list(sample.names),
             "angles_rad": list(sample.angles_rad),
             "segment": sample.segment,
         }
-        return "/joints", JOINTS_SCHEMA, stamp_ns, _bytes(fields)
+        return "/joints", JOINTS_SCHEMA, stamp_ns, as_bytes(fields)
     fields = {
-        "timestamp": _time(stamp_ns),
+        "timestamp": time_fields(stamp_ns),
         "left_rad": sample.left_rad,
         "right_rad": sample.right_rad,
         "segment": sample.segment,
     }
-    return "/wheels", WHEELS_SCHEMA, stamp_ns, _bytes(fields)
+    return "/wheels", WHEELS_SCHEMA, stamp_ns, as_bytes(fields)
 
 
 def encode_truth(stamp_ns: int, map_from_base: Pose2) -> Entry:
     """The message of where the robot really was."""
-    data = _bytes(_pose_fields(stamp_ns, "map", map_from_base))
+    data = as_bytes(_pose_fields(stamp_ns, "map", map_from_base))
     return Entry("/truth", POSE_SCHEMA, stamp_ns, data)
-
-
-def _bytes(fields: Fields) -> bytes:
-    return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode("ascii")
 
 
 def _scan_fields(scan: Scan) -> Fields:
@@ -193,9 +194,9 @@ def _scan_fields(scan: Scan) -> Fields:
     ranges = np.where(np.isfinite(scan.ranges_m), scan.ranges_m, 0.0)
     last_rad = scan.angle_min_rad + scan.angle_step_rad * (len(ranges) - 1)
     fields: Fields = {
-        "timestamp": _time(scan.stamp_ns),
+        "timestamp": time_fields(scan.stamp_ns),
         "frame_id": scan.scanner,
-        "pose": _pose(Pose2.identity()),
+        "pose": pose_fields(Pose2.identity()),
         "start_angle": scan.angle_min_rad,
         "end_angle": last_rad,
         "ranges": ranges.tolist(),
@@ -212,12 +213,7 @@ def _scan_fields(scan: Scan) -> Fields:
 
 
 def _pose_fields(stamp_ns: int, frame: str, frame_from_base: Pose2) -> Fields:
-    return {
-        "timestamp": _time(stamp_ns),
-        "frame_id": frame,
-        "pose": _pose(frame_from_base),
-        "theta": frame_from_base.theta_rad,
-    }
+    return pose_in_frame(stamp_ns, frame, frame_from_base) | {"theta": frame_from_base.theta_rad}
 
 
 def decode(schema: str, data: bytes) -> Sample | tuple[int, Pose2]:
@@ -297,22 +293,9 @@ def _scan(fields: Fields, stamp_ns: int) -> Scan:
     )
 
 
-def _time(stamp_ns: int) -> Fields:
-    seconds, rest_ns = divmod(stamp_ns, _SECOND_NS)
-    return {"sec": seconds, "nsec": rest_ns}
-
-
 def _stamp(time: Fields) -> int:
     seconds, rest_ns = _integer(time["sec"]), _integer(time["nsec"], _SECOND_NS - 1)
     return _integer(seconds * _SECOND_NS + rest_ns)
-
-
-def _pose(pose: Pose2) -> Fields:
-    half = 0.5 * pose.theta_rad
-    return {
-        "position": {"x": pose.x_m, "y": pose.y_m, "z": 0.0},
-        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
-    }
 
 
 def _number(value: object) -> float:

@@ -2,7 +2,8 @@
 
 Topics: ``/raw/<device>`` what passed on a device's line; ``/scan/<name>``, ``/wheels``,
 ``/odometry`` what was decoded; ``/pose``, ``/status`` what was published; ``/truth``. The log time
-of a sample is its stamp. Other topics in a file are left alone. See docs/recording-format.md.
+of a sample is its stamp. What Foxglove draws beside (:mod:`drawn`) and other topics in a file are
+left alone by the reader. See docs/recording-format.md.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import numpy as np
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import Writer
 
+from amr_slam import foxglove
 from amr_slam.geometry import Pose2
 from amr_slam.recording import mcap_file, messages, raw
+from amr_slam.recording.drawn import Drawing
 from amr_slam.recording.messages import Entry
 from amr_slam.recording.values import (
     About,
@@ -35,20 +38,26 @@ _log = logging.getLogger(__name__)
 
 # A power cut costs what the newest chunk holds: two seconds of a robot with two scanners.
 _CHUNK_BYTES = 256 << 10
+# Ours have more fields than Foxglove's of the same name.
+_SCHEMAS = foxglove.SCHEMAS | messages.SCHEMAS
 _DECODED = {"/wheels", "/joints", "/odometry", "/truth"}
 
 
 class RecordingWriter:
     """Writes one recording; a context manager. The same calls give the same bytes."""
 
-    def __init__(self, path: Path) -> None:
-        """Raises OSError when ``path`` cannot be written."""
+    def __init__(self, path: Path, mountings: Mapping[str, Pose2] | None = None) -> None:
+        """``mountings``: base_from_lidar by the scanner's name, for who looks at the recording.
+
+        Raises OSError when ``path`` cannot be written.
+        """
         self._stream = path.open("wb")
         self._writer = Writer(self._stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
         self._writer.start(library="amr-slam")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._message_bytes = 0
+        self._drawing = Drawing(mountings or {})
 
     def __enter__(self) -> Self:
         return self
@@ -89,7 +98,12 @@ class RecordingWriter:
         self.add(messages.encode_truth(stamp_ns, map_from_base))
 
     def add(self, entry: Entry) -> None:
-        """Write a message that was encoded before."""
+        """Write a message that was encoded before, and what is drawn of it."""
+        self._add(entry)
+        for one in self._drawing.of(entry.topic, entry.stamp_ns, entry.data):
+            self._add(Entry(one.topic, one.schema, one.stamp_ns, foxglove.as_bytes(one.fields)))
+
+    def _add(self, entry: Entry) -> None:
         if entry.topic not in self._channels:
             if entry.schema == raw.RAW_SCHEMA:
                 raise KeyError(f"{entry.topic}: no such device was described")
@@ -117,7 +131,7 @@ class RecordingWriter:
         is_raw = schema == raw.RAW_SCHEMA
         if schema not in self._schemas:
             kind = "ros1msg" if is_raw else "jsonschema"
-            definition = raw.RAW_DEFINITION if is_raw else messages.SCHEMAS[schema]
+            definition = raw.RAW_DEFINITION if is_raw else _SCHEMAS[schema]
             self._schemas[schema] = self._writer.register_schema(schema, kind, definition)
         self._channels[topic] = self._writer.register_channel(
             topic, "ros1" if is_raw else "json", self._schemas[schema], dict(metadata)

@@ -56,6 +56,9 @@ class Recorder:
         self._robot = config.robot.name
         self._config_text = config_path.read_text("utf-8")
         self._devices = _devices(config)
+        self._mountings = {
+            scanner.name: scanner.mounting.mounting.base_from_lidar for scanner in config.scanners
+        }
         self._ring = Ring(settings.ring_s, round(1e6 * settings.ring_mb))
         self._keeps = settings.ring_s > 0.0
         self._shelf = Shelf(
@@ -228,7 +231,7 @@ class Recorder:
             raise _GivenUpError
 
     def _described(self, path: Path, reason: str = "") -> RecordingWriter:
-        writer = RecordingWriter(path)
+        writer = RecordingWriter(path, self._mountings)
         about = About(
             robot=self._robot,
             version=version("amr-slam"),
