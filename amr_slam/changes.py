@@ -50,17 +50,19 @@ class Change:
 
 
 def compare(X: Cloud, target: Target, pose: Pose2) -> Change | None:
-    """The scan at a pose against the map; None where either is empty."""
+    """The scan at a pose against the map; None where either is empty. Shares are of what lies
+    outside zones without landmarks."""
     if not len(X) or not len(target):
         return None
     moved = pose @ X.points_m
     distance = fit.distances(target, moved)
     clearance = fit.clearance(X)
-    share = X.weights / X.weights.sum()
+    counts = fit.counts(target, moved)
+    share = X.weights * counts / max(float(X.weights @ counts), 1e-9)
     appeared = target.lookup.seen_free(moved) & (distance > clearance)
     # Beams that graze a wall on the map's side pass it by their noise alone.
     through = (fit.beyond_walls(X, target, pose) > 2.0 * clearance) & (distance > clearance)
-    wrong = appeared | through
+    wrong = (appeared | through) & counts
     bearings = np.arctan2(X.points_m[:, 1], X.points_m[:, 0])
     return Change(
         # Shares add up to 1 but for the rounding: all of a scan may be a little more than all.

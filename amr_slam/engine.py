@@ -13,14 +13,25 @@ from typing import Literal
 
 import numpy as np
 
+from amr_slam.areas import within
 from amr_slam.arrangement import View
 from amr_slam.changes import Change, compare
 from amr_slam.clouds import Cloud
-from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, apart, objection, unknown
+from amr_slam.evidence import (
+    MOST_HIDDEN,
+    Answer,
+    Hypothesis,
+    Rung,
+    Verdict,
+    apart,
+    hidden,
+    objection,
+    unknown,
+)
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.graph.chart import Chart
 from amr_slam.inspection import Inspection, Inspector, Looks
-from amr_slam.map import PointMap
+from amr_slam.map import LayerKind, PointMap
 from amr_slam.params import SlamParams
 from amr_slam.region import Region, slam_region
 from amr_slam.registration.icp import Prior, points_alone
@@ -34,6 +45,8 @@ _SLACK = np.diag([0.02**2, 0.02**2, 0.01**2])
 # Largest covariance that a fix may carry (m2, m2, rad2): "nothing known" in numbers.
 _FIX_LIMIT = 1e4
 _COMPATIBLE_D2 = 30.67
+# What walls that lie off by a metre do to a pose: rooms are some metres wide, so they turn it less.
+_BY_MAP_ERROR = np.diag([1.0, 1.0, 1.0 / 3.0**2])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -80,6 +93,10 @@ class SlamResult:
     moved: Pose2 | None = None
     """Mapping: a loop was closed. What takes the robot's pose in the map of before, of which
     ``fix`` speaks, to that in the map of now."""
+    zone: str | None = None
+    """The scan lies in a zone without landmarks, of this name: nothing was sought."""
+    map_error_m: float = 0.0
+    """How far the map's walls may lie from where it has them: an error that all fixes share."""
     joined_at: tuple[Pose2, Array] | None = None
     """``inserted``: pose and covariance (3, 3) with which the scan joined the map of before."""
 
@@ -109,6 +126,9 @@ class SlamEngine:
         if prior is not None and vague and self.mode == "localization":
             # What fits near a guess proves nothing: it is one place among all others.
             request, prior, vague = _among_others(request, prior), None, False
+        zone = None if prior is None else self._zone_around(cloud, prior.target_from_source)
+        if zone is not None:
+            return self._blind(cloud.stamp_ns, zone)
         climbed = tuple(self._climb(request, prior, vague=vague))
         answer = self._choose(climbed, vague=vague)
         inspection = self._inspect(request, answer)
@@ -116,7 +136,7 @@ class SlamEngine:
         fix = None
         believed = False
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None and not wrong:
-            fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior)
+            fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior, self.map.error_m)
             believed = prior is not None and _compatible(fix, prior)
         new = fix is None and not wrong and self._new_territory(climbed[0])
         scans, moved = len(self.map.path), None
@@ -150,16 +170,35 @@ class SlamEngine:
             self.map.move([Pose2.from_array(pose) for pose in self.chart.poses])
             self.chart.moved = False
 
+    def _zone_around(self, cloud: Cloud, expected: Pose2) -> str | None:
+        """The zone without landmarks that hides the scan, taken at the expected pose, or None."""
+        zones = self.local.layers.areas(LayerKind.ZONE)
+        if not zones or not len(cloud):
+            return None
+        moved = expected @ cloud.points_m
+        if hidden(cloud, ~within(moved, zones)) <= MOST_HIDDEN:
+            return None
+        return max(zones, key=lambda zone: float(cloud.weights @ within(moved, [zone]))).name
+
+    def _blind(self, stamp_ns: int, zone: str) -> SlamResult:
+        """What fits elsewhere proves nothing of a robot that is where nothing may be proven."""
+        answer = unknown(f'no-localize zone "{zone}": by the wheels alone')
+        result = self._result(stamp_ns, (answer,), answer, None, inserted=False)
+        return replace(result, zone=zone)
+
     def _seek(self, request: SlamRequest, region: Region) -> SlamResult:
         """Sought where somebody says; that pose says nothing of the scanners' mounting."""
         climbed = tuple(slam_region(request.cloud, self.map, region, self.params))
         answer, fix = climbed[-1], None
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
-            fix = _fix(request.cloud.stamp_ns, answer.best, answer.rung, None)
+            error_m = self.map.error_m
+            fix = _fix(request.cloud.stamp_ns, answer.best, answer.rung, None, error_m)
         result = self._result(request.cloud.stamp_ns, climbed, answer, fix, inserted=False)
         return replace(result, change=self._compare(request.cloud, answer), sought=True)
 
     def _inspect(self, request: SlamRequest, answer: Answer) -> Inspection:
+        if answer.best is not None and answer.best.hidden > 0.0:
+            return Inspection()  # what is left out may be just what would tell
         return self._inspector.inspect(
             request.cloud,
             request.views,
@@ -328,6 +367,7 @@ class SlamEngine:
             fix=fix,
             inserted=inserted,
             joined_at=self._joined if inserted else None,
+            map_error_m=self.map.error_m,
             map_scans=len(self.map.path),
             map_points=len(self.map),
         )
@@ -362,7 +402,9 @@ def _compatible(fix: SlamPose, prior: Prior) -> bool:
     return float(difference @ inverse_matrix(spread) @ difference) <= _COMPATIBLE_D2
 
 
-def _fix(stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None) -> SlamPose:
+def _fix(
+    stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None, map_error_m: float
+) -> SlamPose:
     """The accepted pose as a measurement of its own: without the prior that helped to find it."""
     alignment = best.alignment
     relocalized = rung is not Rung.RELATIVE
@@ -371,6 +413,7 @@ def _fix(stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None) -> Sl
         pose, covariance = best.pose, inverse_matrix(alignment.information + floor)
     else:
         pose, covariance = points_alone(alignment, prior)
+    covariance = covariance + map_error_m**2 * _BY_MAP_ERROR
     scale = min(1.0, _FIX_LIMIT / float(np.trace(covariance)))
     return SlamPose(
         stamp_ns=stamp_ns,

@@ -26,6 +26,10 @@ _REACH_M = 0.3
 
 # A scanner that sees less of the scan's surface than this is too little of a witness.
 _WITNESS = 0.2
+# Of a scan that lies in zones without landmarks with more than this, the rest is no witness.
+MOST_HIDDEN = 0.8
+# Half a metre of surface, in points of full weight: a post or a speck fits anywhere.
+LEAST_WEIGHT = 10.0
 # What a beam through a wall takes off the score. A part only: glass and railings are mapped, too.
 _PASSING = 0.3
 
@@ -71,6 +75,8 @@ class Hypothesis:
     witnesses, that of the one that agrees less."""
     e_psr_m: float
     """Registration error, eq. 1."""
+    hidden: float = 0.0
+    """Share of the points in zones where nothing is a landmark: they say nothing here."""
 
     @property
     def pose(self) -> Pose2:
@@ -106,30 +112,44 @@ class Answer:
 
 
 def assess(X: Cloud, target: Target, alignment: Alignment, params: SlamParams) -> Hypothesis:
-    """How well the whole scan fits at one refined pose."""
+    """How well the whole scan fits at one refined pose.
+
+    What lies in a zone without landmarks speaks neither for the pose nor against it. The score is
+    of the whole scan nevertheless: no place gains by hiding what contradicts it in a zone.
+    """
     pose = alignment.target_from_source
     moved = pose @ X.points_m
     distance = fit.distances(target, moved)
     reach = max(params.fit_m, 3.0 * X.across_m)
     free = target.lookup.seen_free(moved) & (distance > fit.clearance(X))
-    share = X.weights / X.weights.sum()
+    whole = X.weights / X.weights.sum()
+    counts = fit.counts(target, moved)
+    share = whole * counts
+    seen = max(float(share.sum()), 1e-9)
     known = float(share @ (free | (distance <= max(_REACH_M, 3.0 * X.across_m))))
     conflict = float(share @ free)
     on_wall = float(share @ (distance <= 0.5 * reach))
     longer = fit.beyond_walls(X, target, pose)
     tolerance = max(params.fit_m, 2.5 * X.sigma_m)
-    passes = float(share @ (longer > tolerance))
+    passes = float(whole @ (longer > tolerance))
     fits = float(share @ (1.0 - np.minimum(distance / reach, 1.0)))
     return Hypothesis(
         alignment=alignment,
         score=fits - conflict - _PASSING * passes,
         inliers=min(on_wall / max(known, 1e-9), 1.0),
-        known=known,
-        conflict=conflict,
+        known=known / seen,
+        conflict=conflict / seen,
         passes=passes,
         agreeing=least_witness(X, np.abs(longer) <= tolerance),
-        e_psr_m=mean_below(distance),
+        e_psr_m=mean_below(distance[counts]),
+        hidden=hidden(X, counts),
     )
+
+
+def hidden(X: Cloud, counts: NDArray[np.bool_]) -> float:
+    """Share of a scan, not empty, that lies where nothing counts; 1 where too little is left."""
+    left = float(X.weights @ counts)
+    return 1.0 - left / float(X.weights.sum()) if left >= LEAST_WEIGHT else 1.0
 
 
 def least_witness(X: Cloud, agrees: NDArray[np.bool_]) -> float:
@@ -226,6 +246,8 @@ def odds_of(places: Sequence[Hypothesis], params: Plausibility) -> tuple[float, 
 
 def objection(hypothesis: Hypothesis, bar: Acceptance) -> str | None:
     """Why a pose cannot be accepted on its own, or None."""
+    if hypothesis.hidden > MOST_HIDDEN:
+        return f"{hypothesis.hidden:.0%} of the scan lies in no-localize zones"
     if hypothesis.e_psr_m >= bar.e_max_m:
         return f"registration error {hypothesis.e_psr_m:.2f} m >= {bar.e_max_m:.2f} m"
     if hypothesis.known < bar.known:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from amr_slam.clouds import Cloud
-from amr_slam.evidence import Answer, Rung, Verdict, assess, decide, unknown
+from amr_slam.evidence import LEAST_WEIGHT, Answer, Rung, Verdict, assess, decide, unknown
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
@@ -33,8 +33,6 @@ __all__ = [
 
 # Places that a quick rung examines: the best, and the second that it must stand out from.
 _FIRST_LOOK = 2
-# Half a metre of surface, in points of full weight: a post or a speck fits anywhere.
-_LEAST_WEIGHT = 10.0
 
 
 def slam_relative(
@@ -180,12 +178,27 @@ def examine(
         return unknown(objection, rung)
     if not len(poses):
         return unknown("no candidate place", rung)
-    alignments = icp.align_many(X, target, poses_from(poses), params.icp, prior)
+    alignments = [
+        alignment
+        for part, starts in _usable(X, target, poses_from(poses))
+        for alignment in icp.align_many(part, target, starts, params.icp, prior)
+    ]
     tried = [assess(X, target, alignment, params) for alignment in alignments]
     answer = decide(tried, candidates, rung, params)
     best, *others = answer.places
-    exact = icp.polish(X, target, best.alignment, params.icp, prior)
+    ((part, _),) = _usable(X, target, [best.pose])
+    exact = icp.polish(part, target, best.alignment, params.icp, prior)
     return replace(answer, places=(replace(best, alignment=exact), *others))
+
+
+def _usable(X: Cloud, target: Target, poses: Sequence[Pose2]) -> list[tuple[Cloud, list[Pose2]]]:
+    """What of the scan is to be registered, and from which poses: at each of them, the scan lies
+    in other zones without landmarks."""
+    if not target.zones:
+        return [(X, list(poses))]
+    return [
+        (X.take(np.flatnonzero(fit.counts(target, pose @ X.points_m))), [pose]) for pose in poses
+    ]
 
 
 def _best_distinct(poses: Array, scores: Array, most: int) -> Array:
@@ -210,7 +223,7 @@ def cannot_register(X: Cloud, target: Target) -> str | None:
         return "the scan is empty"
     if not len(target):
         return "the map is empty"
-    if X.weights.sum() < _LEAST_WEIGHT:
+    if X.weights.sum() < LEAST_WEIGHT:
         return "the scan shows less than half a metre of surface"
     return None
 

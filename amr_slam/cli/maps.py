@@ -1,4 +1,4 @@
-"""``amr-slam map info|render|export|align``."""
+"""``amr-slam map info|render|export|edit|align``."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from typing import Any, Final
 import numpy as np
 
 from amr_slam.aligning import AlignError
+from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
-from amr_slam.map import MapError, PointMap, load_map
+from amr_slam.map import LayerError, MapError, PointMap, load_map
 from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
 from amr_slam.map.file import VERSION
 from amr_slam.map.provenance import to_header
@@ -22,6 +23,7 @@ from amr_slam.recording import RecordingError, Trajectory, write_tum
 FAILURES: Final[dict[type[Exception], int]] = {
     UsageError: 2,
     MapError: 1,
+    LayerError: 1,
     AlignError: 1,
     RecordingError: 1,
 }
@@ -33,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         from amr_slam.cli.aligning import align  # noqa: PLC0415 - scipy and more, for this alone
 
         return align(arguments)
+    if arguments.action == "edit":
+        return edit(arguments)
     if arguments.action != "info":
         check_outputs(arguments.out, source=arguments.map)
     known, map_id = load_map(arguments.map)
@@ -57,6 +61,8 @@ def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> 
         "area_m2": round(known.area_m2(), 3),
         "bounds_m": [round(bound, 3) for bound in (x_min, y_min, x_max, y_max)],
     }
+    if known.layers:
+        facts["layers"] = len(known.layers)
     if known.reframings:
         facts["reframings"] = to_header(known.reframings)
     if arguments.json:

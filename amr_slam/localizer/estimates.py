@@ -59,6 +59,9 @@ class Estimates:
             # The scan is wrong or the pose is: until the next one tells, both are possible.
             covariance = covariance + np.outer(elsewhere, elsewhere)
         result = self._placing.last_result
+        if result is not None:
+            # All fixes share it: however many there are, they do not average it away.
+            covariance = covariance + np.diag([result.map_error_m**2] * 2 + [0.0])
         change = None if result is None else result.change
         return PoseEstimate(
             stamp_ns=fused.stamp_ns,
@@ -115,13 +118,13 @@ class Estimates:
         if (
             mismounted
             or too_wide(covariance, params)
-            or since_fix_s > params.lost_s
+            or (since_fix_s > params.lost_s and placing.zone is None)
             or wheel_age_s > params.wheels_lost_s
             or placing.refusals >= params.lost_refusals
         ):
             return State.LOST
         silent = wheel_age_s > params.wheels_silent_s
-        doubtful = placing.unconfirmed or placing.elsewhere is not None
+        doubtful = placing.unconfirmed or placing.elsewhere is not None or placing.zone is not None
         if doubtful or since_fix_s > params.fresh_s or silent:
             return State.ODOMETRY_ONLY
         return State.MAPPING if placing.mode == "mapping" else State.LOCALIZED

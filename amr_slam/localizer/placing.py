@@ -65,7 +65,9 @@ class Placing:
             self.refusals, self.unconfirmed = 0, False
             self._agreeing.clear()
             self.hypotheses.clear()
-        elif outcome is not Outcome.UNKNOWN or not self._fits_where_expected(result):
+        elif result.zone is None and (
+            outcome is not Outcome.UNKNOWN or not self._fits_where_expected(result)
+        ):
             self.refusals += 1
         return outcome
 
@@ -87,6 +89,11 @@ class Placing:
         off = fix.map_from_base.as_array() - expected[0].as_array()
         off[2] = wrap_angle(float(off[2]))
         return off
+
+    @property
+    def zone(self) -> str | None:
+        """The zone without landmarks that the newest scan lies in."""
+        return None if self.last_result is None else self.last_result.zone
 
     def seek_anew(self) -> None:
         """What the pose was built on was wrong."""

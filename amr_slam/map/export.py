@@ -37,14 +37,14 @@ class OccupancyImage:
 
 
 def occupancy_image(grown: PointMap, resolution_m: float | None = None) -> OccupancyImage:
-    """The map as pixels of ``resolution_m``, by default of one wall cell each.
+    """The map as pixels of ``resolution_m``, by default as far apart as its wall points.
 
     Raises MapError beyond 100 million pixels.
     """
-    resolution = resolution_m or grown.params.cell_m
-    walls = grown.target().points_m
-    seen_free = grown.space.sums[:, 0] > grown.space.sums[:, 1]
-    floor = _spread(grown.space.centres()[seen_free], grown.space.cell_m, resolution)
+    resolution = resolution_m or grown.spacing_m
+    whole = grown.surfaces()
+    walls = whole.points_m
+    floor = _spread(whole.free_m.astype(np.float64), grown.space.cell_m, resolution)
     everything = np.concatenate([walls, floor])
     if not len(everything):
         everything = np.zeros((1, 2))
@@ -70,7 +70,7 @@ def image_within(grown: PointMap, resolution_m: float | None, max_pixels: int) -
     more than ``max_pixels``."""
     x_min, y_min, x_max, y_max = grown.bounds()
     least_m = math.sqrt((x_max - x_min + 1.0) * (y_max - y_min + 1.0) / max_pixels)
-    return occupancy_image(grown, max(resolution_m or grown.params.cell_m, least_m))
+    return occupancy_image(grown, max(resolution_m or grown.spacing_m, least_m))
 
 
 def png_bytes(image: OccupancyImage) -> bytes:
@@ -154,5 +154,5 @@ def write_points_ply(grown: PointMap, path: Path) -> int:
 
 
 def _points_and_normals(grown: PointMap) -> Array:
-    target = grown.target()
+    target = grown.surfaces()
     return np.hstack([target.points_m, target.normals])

@@ -13,16 +13,21 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from amr_slam.geometry import Array
-from amr_slam.map import PointMap
+from amr_slam.map import LayerKind, Layers, PointMap
 from amr_slam.map.export import FREE, occupancy_image
 from amr_slam.pictures import style
-from amr_slam.pictures.style import BLUE, FLOOR, INK, PURPLE, VERMILION
+from amr_slam.pictures.style import BLUE, FLOOR, GREEN, INK, PURPLE, VERMILION
 from amr_slam.recording import Trajectory
 
 _DOTS_PER_INCH: Final = 150
 _LONG_SIDE_IN: Final = 10.0
 # Left, right, bottom, top: room for axis labels and the title's line.
 _MARGINS_IN: Final = (0.8, 0.25, 0.65, 0.5)
+_LAYERS: Final = {
+    LayerKind.ERASE: ("erased", VERMILION, "xx"),
+    LayerKind.WALL: ("drawn walls", GREEN, ""),
+    LayerKind.ZONE: ("no-localize zones", PURPLE, "//"),
+}
 _SHORT_SIDE: Final = 0.4  # of the long one, at least: titles and scale bar need width
 
 
@@ -55,6 +60,7 @@ def draw_map(
         for label, path in paths
     ]
     canvas = _canvas(known, [points for _, points in lines], title)
+    draw_layers(canvas.axes, known.layers)
     for number, (label, points) in enumerate(lines):
         draw_path(canvas.axes, points, label, style.look(number))
     canvas.finish(out)
@@ -170,7 +176,7 @@ def draw_known(
     """Walls in ``colour`` and the floor that was seen, on axes of this scale."""
     # No finer than the picture itself: memory goes with the picture, not with the hall.
     dot_m = 1.0 / (inches_per_m * dots_per_inch)
-    image = occupancy_image(known, max(known.params.cell_m, dot_m))
+    image = occupancy_image(known, max(known.spacing_m, dot_m))
     rows, columns = image.pixels.shape
     right = image.x_min_m + columns * image.resolution_m
     top = image.y_min_m + rows * image.resolution_m
@@ -184,13 +190,32 @@ def draw_known(
         aspect="auto",
         zorder=0.4,
     )
-    walls = known.target().points_m
+    walls = known.surfaces().points_m
     # As large as the cell that a point stands for, but never too small to be seen.
-    points = max(known.params.cell_m * inches_per_m * 72.0, 1.0)
+    points = max(known.spacing_m * inches_per_m * 72.0, 1.0)
     axes.plot(
         *walls.T, linestyle="", marker="s", markersize=points, markeredgewidth=0.0, color=colour,
         rasterized=True, zorder=2.0, label="walls",
     )  # fmt: skip
+
+
+def draw_layers(axes: Axes, layers: Layers) -> None:
+    """Erased areas, drawn walls and zones without landmarks, each with its name."""
+    for kind, (label, colour, hatch) in _LAYERS.items():
+        drawn = [one for one in layers.active if one.kind is kind]
+        for i, one in enumerate(drawn):
+            told = label if i == 0 else None
+            if kind is LayerKind.WALL:
+                axes.plot(*one.corners_m.T, color=colour, linewidth=2.0, label=told, zorder=2.2)
+            else:
+                axes.fill(
+                    *one.corners_m.T, facecolor="none", edgecolor=colour, linewidth=1.2,
+                    hatch=hatch, label=told, zorder=2.2,
+                )  # fmt: skip
+            axes.annotate(
+                one.name, one.corners_m[0], xytext=(3.0, 3.0), textcoords="offset points",
+                color=colour, fontsize=style.LEGEND_PT, zorder=4.0,
+            )  # fmt: skip
 
 
 def draw_path(axes: Axes, points: Array, label: str, drawn_as: style.Look) -> None:

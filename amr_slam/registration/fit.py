@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from amr_slam.areas import within
 from amr_slam.clouds import Cloud
 from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array, Pose2
@@ -15,6 +16,11 @@ from amr_slam.registration.alignment import Target
 def clearance(source: Cloud) -> float:
     """How far in m from the nearest wall a noisy point must be to contradict free space."""
     return 0.25 + 3.0 * source.across_m
+
+
+def counts(target: Target, moved_m: Array) -> NDArray[np.bool_]:
+    """(n,) whether points (n, 2) in the target's frame lie where things may be landmarks."""
+    return ~within(moved_m, target.zones)
 
 
 def distances(target: Target, moved_m: Array) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from collections.abc import Sequence
 from importlib.metadata import version
 from typing import Final
@@ -54,11 +55,14 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def join_negative_values(argv: Sequence[str]) -> list[str]:
-    """``--lidar -0.2,0,180`` as ``--lidar=-0.2,0,180``: argparse takes the former for options."""
+    """``--lidar -0.2,0,180`` as ``--lidar=-0.2,0,180``, and a point ``-1,2`` with a blank before
+    it: argparse takes both for options."""
     joined: list[str] = []
     for argument in argv:
         if joined and joined[-1] in _LISTS and argument[:1] == "-" and "," in argument:
             joined[-1] = f"{joined[-1]}={argument}"
+        elif re.fullmatch(r"-[\d.]+(e-?\d+)?,.*", argument):
+            joined.append(f" {argument}")
         else:
             joined.append(argument)
     return joined

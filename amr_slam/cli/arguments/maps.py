@@ -5,7 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 from amr_slam.cli.arguments.base import Parser, Subparsers, add_command
-from amr_slam.cli.arguments.values import corner, finite, mounting, path_ending, seconds
+from amr_slam.cli.arguments.values import (
+    corner,
+    count,
+    finite,
+    mounting,
+    path_ending,
+    point,
+    seconds,
+)
 
 
 def add_map(commands: Subparsers[Parser]) -> None:
@@ -42,8 +50,55 @@ def add_map(commands: Subparsers[Parser]) -> None:
         help="what to write",
     )
     align = _add_align(actions)
+    _add_edit(actions)
     for action in (info, render, export, align):
         action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
+
+
+def _add_edit(actions: Subparsers[Parser]) -> None:
+    edit = add_command(
+        actions,
+        "edit",
+        "layers over it: erased areas, drawn walls, zones without landmarks",
+        "amr-slam map edit hall.amrmap erase 4.1,0.2 5.3,0.2 5.3,1.4 4.1,1.4 --name pallets",
+        "What scanners saw stays in the file; layers can be removed, and steps undone. Points are "
+        "X,Y in m in the map's frame. Daemons use them once they load the map again.",
+    )
+    edit.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
+    steps = edit.add_subparsers(dest="step", metavar="STEP", required=True)
+    listed = add_command(steps, "list", "all layers", "amr-slam map edit hall.amrmap list --json")
+    listed.add_argument("--json", action="store_true", help="as JSON, which 'draw' reads")
+    example = "amr-slam map edit hall.amrmap"
+    drawing = [
+        ("erase", "nothing is there: a polygon", f"{example} erase 4,0 5,0 5,1 4,1"),
+        ("wall", "a wall is there: a polyline", f"{example} wall 0,0 6.5,0 --name partition"),
+        ("zone", "don't localize by what is there: a polygon", f"{example} zone -2,0 3,0 3,4 -2,4"),
+    ]
+    for kind, summary, told in drawing:
+        step = _add_step(steps, kind, summary, told)
+        step.add_argument("points", metavar="X,Y", type=point, nargs="+", help="in order, in m")
+        step.add_argument("--name", help="what messages call it (default: KIND-NUMBER)")
+    draw = _add_step(steps, "draw", "layers from a file", f"{example} draw layers.json")
+    draw.add_argument("file", metavar="FILE.json", type=Path, help="as 'list --json' writes it")
+    remove = _add_step(steps, "remove", "layers, by name or UUID", f"{example} remove pallets")
+    remove.add_argument("names", metavar="NAME", nargs="+")
+    _add_step(steps, "undo", "the last step", f"{example} undo")
+
+
+def _add_step(steps: Subparsers[Parser], name: str, summary: str, example: str) -> Parser:
+    step = add_command(steps, name, summary, example)
+    step.add_argument("--by", metavar="WHO", help="who does it (default: who is logged in)")
+    step.add_argument(
+        "--out", metavar="NEW.amrmap", type=path_ending(".amrmap"), help="default: MAP itself"
+    )
+    step.add_argument(
+        "--keep",
+        metavar="N",
+        type=count,
+        default=2,
+        help="older versions that stay as MAP.1, MAP.2, ... (default 2)",
+    )
+    return step
 
 
 def _add_align(actions: Subparsers[Parser]) -> Parser:

@@ -64,6 +64,14 @@ def mounting(text: str) -> tuple[float, float, float]:
     return x_m, y_m, theta_deg
 
 
+def point(text: str) -> tuple[float, float]:
+    """x m, y m."""
+    fields = text.split(",")
+    if len(fields) != 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not X,Y")
+    return finite(fields[0]), finite(fields[1])
+
+
 def corner(text: str) -> tuple[float, float, float]:
     """x m, y m, and theta in degrees where it is not 0."""
     return mounting(text if text.count(",") == 2 else f"{text},0")
