@@ -16,6 +16,7 @@ from pathlib import Path
 
 from amr_slam.calibration import CalibrationError, calibrate
 from amr_slam.calibration.report import config_lines, describe, drifted, plot
+from amr_slam.cli.arguments.values import path_ending
 from amr_slam.config import ConfigError, load
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.recording import RecordingError, read_log
@@ -69,8 +70,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--scan-period", type=float, default=0.5, help="s, at most one scan of each scanner in it")
     add(
         "--plot",
-        type=Path,
-        help="picture of the drive and of what is left between wheels and scans",
+        type=path_ending(".png", ".svg"),
+        help="picture of the drive and of what is left between wheels and scans (PNG or SVG)",
     )
     add("--check", action="store_true", help="only tell whether the robot still is as configured")
     return parser

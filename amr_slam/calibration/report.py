@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from amr_slam.calibration.values import Calibration, Measures
 from amr_slam.geometry import Array, wrap_angle
+from amr_slam.pictures import style
+from amr_slam.pictures.style import BLUE, VERMILION
 
 _SURE: Final = 4.0
 """Standard deviations from which on a difference is none of chance."""
@@ -69,26 +69,27 @@ def config_lines(calibration: Calibration) -> Iterator[str]:
 
 
 def plot(calibration: Calibration, path: Path) -> None:
-    """The drive, and what the wheels said less what the scanners saw, before and after (PNG)."""
-    figure = Figure(figsize=(9, 7), layout="constrained")
-    FigureCanvasAgg(figure)
+    """The drive, and what the wheels said less what the scanners saw, before and after: a PNG or
+    SVG file."""
+    figure = style.sheet(9.0, 7.0)
     way, forward, turn = figure.subplot_mosaic([["way", "forward"], ["way", "turn"]]).values()
-    way.plot(calibration.path[:, 0], calibration.path[:, 1], color="#0072b2", linewidth=1.0)
-    way.set(title="The drive", xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    way.plot(*calibration.path[:, :2].T, color=BLUE, linewidth=1.0)
+    way.set_aspect("equal")
     seconds = 1e-9 * (calibration.stamps_ns[1:] - calibration.stamps_ns[0])
     series: list[tuple[str, str, str, Array]] = [
-        ("configured", "#d55e00", "x", calibration.before_error),
-        ("calibrated", "#0072b2", "o", calibration.wheel_error),
+        ("configured", VERMILION, "x", calibration.before_error),
+        ("calibrated", BLUE, "o", calibration.wheel_error),
     ]
     for label, colour, marker, error in series:
         for axes, values in ((forward, 1e3 * error[:, 0]), (turn, np.degrees(error[:, 2]))):
             axes.scatter(seconds, values, s=7.0, c=colour, marker=marker, label=label)
-    forward.set(title="Wheels less scanners, ahead", xlabel="time (s)", ylabel="mm an interval")
-    turn.set(title="... in heading", xlabel="time (s)", ylabel="degrees an interval")
-    for axes in (way, forward, turn):
-        axes.grid(visible=True, alpha=0.3)
-    forward.legend()
-    figure.savefig(path, dpi=110)
+    style.chart(way, x="x in m", y="y in m", title="The drive")
+    style.chart(
+        forward, x="time in s", y="mm an interval", title="Wheels less scanners, ahead",
+        legend="best",
+    )  # fmt: skip
+    style.chart(turn, x="time in s", y="degrees an interval", title="... in heading")
+    style.save(figure, path)
 
 
 _Row = tuple[str, str, float, float, float, float, float]

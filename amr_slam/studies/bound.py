@@ -18,6 +18,7 @@ from amr_slam.evaluation import error95_coverage, nees
 from amr_slam.fusion import error95_m
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.params import SlamParams
+from amr_slam.pictures import style
 from amr_slam.simulation import ScannerModel, World, cast
 from amr_slam.slam import Verdict, slam_absolute
 from amr_slam.studies.report import Effort, Picture, Section, Table
@@ -260,36 +261,35 @@ def _rms(values: Array) -> float:
 
 
 def _figure(whole: dict[float, Localized], parts: dict[float, list[Localized]]) -> Figure:
-    figure = Figure(figsize=(10.0, 4.2), layout="constrained")
+    figure = style.sheet(10.0, 4.2)
     curves, steps = figure.subplots(1, 2)
     noises = np.array(list(whole))
     limits_mm = 1e3 * np.array([_rms(some.bound_m) for some in whole.values()])
-    for name, factors, style in (("required", MOST, "k:"), ("wanted", WANTED, "k--")):
+    for name, factors, line in (("required", MOST, "k:"), ("wanted", WANTED, "k--")):
         rows = [k for k, noise in enumerate(noises) if noise in factors]
         bars = [limits_mm[k] * factors[noises[k]] for k in rows]
-        curves.plot(noises[rows], bars, style, lw=1, label=name)
+        curves.plot(noises[rows], bars, line, lw=1, label=name)
     curves.plot(noises, limits_mm, "k-", lw=1, label="Cramér-Rao bound")
     rng = np.random.default_rng(0)
     for k, (noise, some) in enumerate(whole.items()):
         beside = noise * np.exp(rng.uniform(-0.06, 0.06, len(some.errors)))
-        curves.plot(beside, 1e3 * some.position_m, ".", ms=2, color=f"C{k}", alpha=0.5)
+        curves.plot(beside, 1e3 * some.position_m, ".", ms=2, color=style.look(k).colour, alpha=0.5)
         low, high = _interval(parts[noise], lambda one: _rms(one.position_m))
         middle = _rms(some.position_m)
         spread = 1e3 * np.array([[max(middle - low, 0.0)], [max(high - middle, 0.0)]])
-        curves.errorbar(noise, 1e3 * middle, spread, fmt="D", ms=5, capsize=4, color=f"C{k}")
+        curves.errorbar(
+            noise, 1e3 * middle, spread, fmt="D", ms=5, capsize=4, color=style.look(k).colour
+        )
         ranked = np.sort(some.nees)
         share = np.arange(1, len(ranked) + 1) / len(ranked)
-        steps.step(ranked, share, color=f"C{k}", label=f"noise {noise:g} m")
-    curves.set(
-        xscale="log", yscale="log", xlabel="noise in x and y, m", ylabel="position error, mm"
-    )
+        steps.step(ranked, share, color=style.look(k).colour, label=f"noise {noise:g} m")
+    curves.set(xscale="log", yscale="log")
     curves.set_xticks(noises, [f"{noise:g}" for noise in noises])
     curves.minorticks_off()
     curves.set_yticks([1, 3, 10, 30, 100, 300], ["1", "3", "10", "30", "100", "300"])
     axis = np.linspace(0.0, 15.0, 200)
     steps.plot(axis, chi2.cdf(axis, 3), "k--", lw=1, label="chi-square, 3 degrees of freedom")
-    steps.set(xlim=(0.0, 15.0), ylim=(0.0, 1.0), xlabel="NEES", ylabel="share of answers")
-    for axes in (curves, steps):
-        axes.grid(visible=True, alpha=0.3)
-        axes.legend(fontsize=8)
+    steps.set(xlim=(0.0, 15.0), ylim=(0.0, 1.0))
+    style.chart(curves, x="noise in x and y, m", y="position error, mm", legend="best")
+    style.chart(steps, x="NEES", y="share of answers", legend="lower right")
     return figure

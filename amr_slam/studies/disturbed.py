@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from amr_slam.params import preset
+from amr_slam.pictures import style
+from amr_slam.pictures.style import BLUE, VERMILION
 from amr_slam.simulation import COVERED, moved_furniture
 from amr_slam.studies.report import Effort, Picture, Section, Table
 from amr_slam.studies.scenes import laboratory_scene, with_noise
@@ -97,25 +98,22 @@ def _share(under: Circumstances) -> float:
 def _curves(
     blocked: dict[Circumstances, list[Trial]], moved: dict[Circumstances, list[Trial]]
 ) -> Picture:
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    figure = style.sheet(10.0, 3.6)
     panels = figure.subplots(1, 2, sharey=True)
     for axes, title, results in (
         (panels[0], "share of beams blocked", blocked),
         (panels[1], "share of furniture moved", moved),
     ):
-        for sigma_m, style in zip(_SIGMAS_M, ("-", "--"), strict=True):
+        for sigma_m, line in zip(_SIGMAS_M, ("-", "--"), strict=True):
             some = {_share(u): t for u, t in results.items() if u.sigma_m == sigma_m}
             shares = sorted(some)
             right = [100.0 * np.mean([t.right for t in some[s]]) for s in shares]
             accepted = [100.0 * np.mean([t.accepted for t in some[s]]) for s in shares]
             noise = f"sigma {sigma_m:g} m"
-            axes.plot(shares, right, f"o{style}", color="#0072B2", label=f"right, {noise}")
-            axes.plot(shares, accepted, f"s{style}", color="#D55E00", label=f"accepted, {noise}")
-        axes.set_xlabel(title)
+            axes.plot(shares, right, f"o{line}", color=BLUE, label=f"right, {noise}")
+            axes.plot(shares, accepted, f"s{line}", color=VERMILION, label=f"accepted, {noise}")
         axes.set_ylim(0.0, 102.0)
-        axes.grid(visible=True, color="#DDDDDD")
-    panels[0].set_ylabel("% of scans")
-    panels[1].legend(fontsize=8)
+        style.chart(axes, x=title, y="% of scans", legend="lower left")
     return Picture(
         name="disturbed",
         caption="Best place right, and accepted on one scan, against how far the hall differs "

@@ -21,6 +21,7 @@ from amr_slam.clouds import cloud_from_scan
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
+from amr_slam.pictures import style
 from amr_slam.studies.peer_methods import (
     GLOBAL,
     ITERATIONS,
@@ -199,20 +200,21 @@ thread and at most {ITERATIONS} iterations of a local method:
 
 
 def _figure(results: Results) -> Figure:
-    figure = Figure(figsize=(11.0, 4.2), layout="constrained")
+    figure = style.sheet(11.0, 4.2)
     local, anywhere = figure.subplots(1, 2)
     sigma = SIGMAS_M[min(1, len(SIGMAS_M) - 1)]
-    for method in LOCAL:
+    for k, method in enumerate(LOCAL):
+        drawn_as = style.look(k)
         if method.name in results:
             tally = results[method.name][sigma]
             time_ms, error_mm = 1e3 * np.median(tally.times_s), 1e3 * np.median(tally.errors_m)
-            local.semilogx(time_ms, error_mm, "o", label=method.name)
+            local.semilogx(
+                time_ms, error_mm, drawn_as.marker, color=drawn_as.colour, label=method.name
+            )
     local.margins(0.1)
     local.set_xticks([0.3, 1, 3, 10, 30, 100, 300], ["0.3", "1", "3", "10", "30", "100", "300"])
     local.minorticks_off()
-    local.set(
-        xlabel="median processor time, ms", ylabel="median position error, mm", ylim=(0.0, None)
-    )
+    local.set_ylim(0.0, None)
     width = 0.8 / len(GLOBAL)
     places = np.arange(len(SIGMAS_M))
     for k, method in enumerate(GLOBAL):
@@ -221,12 +223,11 @@ def _figure(results: Results) -> Figure:
             x = places + (k - 0.5 * (len(GLOBAL) - 1)) * width
             right = [float(np.mean(tally.right)) for tally in tallies]
             wrong = [tally.false_claims / len(tally.right) for tally in tallies]
-            bars = anywhere.bar(x, right, width, label=method.name)
+            bars = anywhere.bar(x, right, width, color=style.look(k).colour, label=method.name)
             anywhere.plot(x, wrong, "kx", ms=7)
             anywhere.bar_label(bars, fmt="{:.0%}", fontsize=7)
     anywhere.set_xticks(places, _NOISES)
-    anywhere.set(xlabel="noise in x and y, m", ylabel="share of scans", ylim=(0.0, 1.25))
-    for axes in (local, anywhere):
-        axes.grid(visible=True, which="both", alpha=0.2)
-        axes.legend(fontsize=7)
+    anywhere.set_ylim(0.0, 1.25)
+    style.chart(local, x="median processor time, ms", y="median position error, mm", legend="best")
+    style.chart(anywhere, x="noise in x and y, m", y="share of scans", legend="best")
     return figure

@@ -12,6 +12,8 @@ from matplotlib.figure import Figure
 
 from amr_slam.evidence import Verdict
 from amr_slam.params import SlamParams
+from amr_slam.pictures import style
+from amr_slam.pictures.style import BLUE, INK, ORANGE
 from amr_slam.studies.real_driving import MOST_SCANS, Claim, first_claim
 from amr_slam.studies.real_passes import (
     APART_M,
@@ -285,20 +287,26 @@ def _range(values: Sequence[int]) -> str:
 def _figure(found: Sequence[_Log]) -> Figure:
     columns = min(3, len(found))
     height = -(-len(found) // columns)
-    figure = Figure(figsize=(4.2 * columns, 3.8 * height), layout="constrained")
+    figure = style.sheet(4.2 * columns, 3.8 * height)
     panels = figure.subplots(height, columns, squeeze=False).ravel()
     for axes in panels[len(found) :]:
         axes.set_visible(False)
     for axes, log in zip(panels, found, strict=False):
         walls = np.concatenate([v.pose @ v.cloud.points_m[::6] for v in log.recording.visits])
-        axes.plot(*walls.T, ",", color="0.7", rasterized=True)
+        axes.plot(*walls.T, ",", color=style.GREY, rasterized=True)
         some = log.at(USUAL_M)
         silent = [q for q in some if not q.right and not q.trial.accepted]
         claimed = [q for q in some if q.trial.wrongly_accepted]
         right = [q for q in some if q.right]
-        for queries, style in ((right, "C0."), (silent, "C1^"), (claimed, "kx")):
+        for queries, marker, colour, label in (
+            (right, ".", BLUE, "right"),
+            (silent, "^", ORANGE, "wrong, not accepted"),
+            (claimed, "x", INK, "wrong, accepted"),
+        ):
             places = np.array([query.reference.translation for query in queries]).reshape(-1, 2)
-            axes.plot(*places.T, style, ms=4)
-        axes.set(title=f"{log.recording.name} ({log.recording.kind})", aspect="equal")
-        axes.tick_params(labelsize=7)
+            axes.plot(*places.T, marker, color=colour, ms=4, label=label)
+        axes.set_aspect("equal")
+        title = f"{log.recording.name} ({log.recording.kind})"
+        style.chart(axes, x="x in m", y="y in m", title=title)
+    panels[0].legend(fontsize=style.LEGEND_PT)
     return figure

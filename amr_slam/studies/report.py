@@ -8,6 +8,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from amr_slam.pictures import style
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
@@ -74,6 +76,6 @@ def write_page(title: str, preface: str, sections: Sequence[Section], path: Path
         parts += [f"## {section.title}", section.text]
         parts += [table.markdown() for table in section.tables]
         for picture in section.pictures:
-            picture.figure.savefig(images / f"{picture.name}.png", dpi=110)
+            style.save(picture.figure, images / f"{picture.name}.png")
             parts.append(f"![{picture.caption}](images/{picture.name}.png)\n\n*{picture.caption}*")
     path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from amr_slam.map import PointMap
 from amr_slam.map.file import encode
 from amr_slam.params import preset
+from amr_slam.pictures import style
 from amr_slam.simulation import SCANNERS, ScannerModel
 from amr_slam.studies.report import Effort, Picture, Section, Table
 from amr_slam.studies.scenes import S300, Scene
@@ -167,20 +167,19 @@ def _is_ours(part: object) -> bool:
 
 
 def _figure(rows: Sequence[Row]) -> Picture:
-    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
+    figure = style.sheet(11.0, 3.6)
     cost, memory = figure.subplots(1, 2)
-    for kind in dict.fromkeys(row.kind for row in rows):
+    for number, kind in enumerate(dict.fromkeys(row.kind for row in rows)):
+        drawn_as = style.look(number)
+        marked = f"{drawn_as.marker}{drawn_as.line}"
         some = sorted((r for r in rows if r.kind == kind), key=lambda row: row.area_m2)
         areas = [row.area_m2 for row in some]
         medians = [float(np.median([t.ms for t in row.trials])) for row in some]
-        cost.loglog(areas, medians, marker="o", label=kind)
-        memory.loglog(areas, [1e-6 * row.memory_bytes for row in some], marker="o")
-    cost.set_ylabel("ms, median")
-    memory.set_ylabel("map in memory, MB")
-    for axes in (cost, memory):
-        axes.set_xlabel("seen floor, m2")
-        axes.grid(visible=True, which="both", color="#DDDDDD")
-    cost.legend(fontsize=8)
+        cost.loglog(areas, medians, marked, color=drawn_as.colour, label=kind)
+        megabytes = [1e-6 * row.memory_bytes for row in some]
+        memory.loglog(areas, megabytes, marked, color=drawn_as.colour, label=kind)
+    for axes, says in ((cost, "processor time, ms, median"), (memory, "map in memory, MB")):
+        style.chart(axes, x="seen floor, m²", y=says, legend="upper left")
     return Picture(
         name="scaling",
         caption="Absolute localization of one scan and memory of the map against its size",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Final
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from amr_slam.evaluation import nees
+from amr_slam.pictures import style
 from amr_slam.studies.fusion.simulated import CORRIDOR, ONE_SCANNER, Scenario
 from amr_slam.studies.fusion.trials import Trials, trials
 from amr_slam.studies.report import Effort, Picture, Section, Table
@@ -75,23 +75,19 @@ def study(effort: Effort) -> Section:
 
 
 def _diagram(found: dict[str, Trials]) -> Figure:
-    figure = Figure(figsize=(7.0, 6.0), layout="tight")
+    figure = style.sheet(7.0, 6.0)
     axes = figure.add_subplot()
     shares = np.linspace(0.02, 0.99, 50)
-    axes.plot([0.0, 1.0], [0.0, 1.0], color="0.6", linewidth=1.0)
-    styles = itertools.cycle(["-", "--", "-.", ":"])
-    for (name, one), style in zip(found.items(), styles, strict=False):
+    axes.plot([0.0, 1.0], [0.0, 1.0], color=style.GREY, linewidth=1.0)
+    for number, (name, one) in enumerate(found.items()):
+        drawn_as = style.look(number)
         errors = one.errors[..., :2].reshape(-1, 2)
         covariances = one.covariances[..., :2, :2].reshape(-1, 2, 2)
         # Of two degrees of freedom: within the ellipse of share p when d2 <= -2 ln(1 - p).
         d2 = nees(errors, covariances)
-        axes.plot(
-            shares, [np.mean(d2 <= -2.0 * np.log(1.0 - p)) for p in shares], style, label=name
-        )
-    axes.set_xlabel("claimed share")
-    axes.set_ylabel("observed share")
-    axes.legend(loc="upper left")
-    axes.grid(alpha=0.3)
+        observed = [np.mean(d2 <= -2.0 * np.log(1.0 - p)) for p in shares]
+        axes.plot(shares, observed, drawn_as.line, color=drawn_as.colour, label=name)
+    style.chart(axes, x="claimed share", y="observed share", legend="upper left")
     return figure
 
 

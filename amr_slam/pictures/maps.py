@@ -1,42 +1,29 @@
-"""Pictures of maps and paths: the one place that draws.
-
-Colours are those of Okabe and Ito, told apart with any colour vision; line styles differ too.
-"""
+"""Pictures of maps, of paths in them, and of what brought a map into its frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import cycle
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import MultipleLocator
 
 from amr_slam.geometry import Array
 from amr_slam.map import PointMap
 from amr_slam.map.export import FREE, occupancy_image
+from amr_slam.pictures import style
+from amr_slam.pictures.style import BLUE, FLOOR, INK, PURPLE, VERMILION
 from amr_slam.recording import Trajectory
 
-_LINES: Final = (
-    ("#0072B2", "-"),
-    ("#D55E00", "--"),
-    ("#009E73", "-."),
-    ("#CC79A7", ":"),
-)
-_FLOOR: Final = "#E6EEF5"
 _DOTS_PER_INCH: Final = 150
 _LONG_SIDE_IN: Final = 10.0
 # Left, right, bottom, top: room for axis labels and the title's line.
 _MARGINS_IN: Final = (0.8, 0.25, 0.65, 0.5)
 _SHORT_SIDE: Final = 0.4  # of the long one, at least: titles and scale bar need width
-# Grid lines by the long side: (up to m, faint lines every m, strong lines every m).
-_GRIDS: Final = ((40.0, 1.0, 5.0), (200.0, 5.0, 25.0), (float("inf"), 25.0, 100.0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,9 +55,9 @@ def draw_map(
         for label, path in paths
     ]
     canvas = _canvas(known, [points for _, points in lines], title)
-    for (label, points), (colour, style) in zip(lines, cycle(_LINES), strict=False):
-        _draw_path(canvas.axes, points, label, colour, style)
-    canvas.finish(out, labels=len(lines))
+    for number, (label, points) in enumerate(lines):
+        draw_path(canvas.axes, points, label, style.look(number))
+    canvas.finish(out)
     return canvas.place
 
 
@@ -90,19 +77,17 @@ def draw_alignment(
     """
     starts_m, offsets_m = arrows
     canvas = _canvas(known, [plan_m, starts_m], title)
-    axes, labels = canvas.axes, 0
+    axes = canvas.axes
     for points, label, colour, marker, size in (
-        (plan_m, "floor plan", _LINES[1][0], "s", 1.5),
-        (strangers_m, "left out", _LINES[3][0], "x", 4.0),
+        (plan_m, "floor plan", VERMILION, "s", 1.5),
+        (strangers_m, "left out", PURPLE, "x", 4.0),
     ):
         if len(points):
             axes.plot(*points.T, marker, color=colour, markersize=size, label=label, zorder=2.5)
-            labels += 1
     if len(starts_m):
-        axes.plot(*starts_m.T, ".", color=_LINES[0][0], markersize=2.0, label="pairs", zorder=2.8)
+        axes.plot(*starts_m.T, ".", color=BLUE, markersize=2.0, label="pairs", zorder=2.8)
         _draw_arrows(axes, starts_m, offsets_m)
-        labels += 1
-    canvas.finish(out, labels=labels)
+    canvas.finish(out)
     return canvas.place
 
 
@@ -114,7 +99,7 @@ def _draw_arrows(axes: Axes, starts_m: Array, offsets_m: Array) -> None:
     magnified = float(steps[steps <= max((high - low) / 30.0 / most_m, 0.1)].max())
     drawn = axes.quiver(
         *starts_m.T, *offsets_m.T, angles="xy", scale_units="xy", scale=1.0 / magnified,
-        color=_LINES[1][0], width=0.0012, zorder=3.0,
+        color=VERMILION, width=0.0012, zorder=3.0,
     )  # fmt: skip
     lengths = steps / 1000.0
     key_m = float(lengths[lengths * magnified <= 0.08 * (high - low)].max(initial=1e-4))
@@ -132,22 +117,15 @@ class _Canvas:
     axes: Axes
     place: Georeference
 
-    def finish(self, out: Path, *, labels: int) -> None:
-        """With the labels of what was drawn, if there are any, into the file."""
-        if labels:
-            self.axes.legend(
-                loc="lower right",
-                bbox_to_anchor=(1.0, 1.0),
-                ncols=labels,
-                frameon=False,
-                fontsize=9,
-            )
-        _save(self.figure, out)
+    def finish(self, out: Path) -> None:
+        """With the labels of what was drawn into the file."""
+        style.legend_above(self.axes)
+        style.save(self.figure, out)
 
 
 def _canvas(known: PointMap, points_m: Sequence[Array], title: str) -> _Canvas:
     """The map within limits that ``points_m``, arrays (n, 2), lie in."""
-    low, high = _limits(known, points_m)
+    low, high = limits(known, points_m)
     left, right, bottom, top = _MARGINS_IN
     inches_per_m = _LONG_SIDE_IN / float((high - low).max())
     plot_in = (high - low) * inches_per_m
@@ -157,10 +135,9 @@ def _canvas(known: PointMap, points_m: Sequence[Array], title: str) -> _Canvas:
     axes = figure.add_axes(
         (left / size_in[0], bottom / size_in[1], plot_in[0] / size_in[0], plot_in[1] / size_in[1])
     )
-    _draw_grid(axes, low, high)
-    _draw_known(axes, known, inches_per_m)
-    _draw_scale_bar(axes, low, high)
-    axes.set_title(title, loc="left", fontsize=11)
+    style.ground(axes, low, high)
+    draw_known(axes, known, inches_per_m)
+    axes.set_title(title, loc="left", fontsize=style.TITLE_PT)
     px_per_m = inches_per_m * _DOTS_PER_INCH
     place = Georeference(
         width_px=int(pixels[0]),
@@ -172,7 +149,7 @@ def _canvas(known: PointMap, points_m: Sequence[Array], title: str) -> _Canvas:
     return _Canvas(figure=figure, axes=axes, place=place)
 
 
-def _limits(known: PointMap, paths: Sequence[Array]) -> tuple[Array, Array]:
+def limits(known: PointMap, paths: Sequence[Array]) -> tuple[Array, Array]:
     """Lower left and upper right corner (2,) of what is drawn, in m, with a border."""
     x_min, y_min, x_max, y_max = known.bounds()
     everything = np.concatenate([np.array([[x_min, y_min], [x_max, y_max]]), *paths])
@@ -182,24 +159,17 @@ def _limits(known: PointMap, paths: Sequence[Array]) -> tuple[Array, Array]:
     return middle - 0.5 * side, middle + 0.5 * side
 
 
-def _draw_grid(axes: Axes, low: Array, high: Array) -> None:
-    long_m = float((high - low).max())
-    fine_m, coarse_m = next((f, c) for up_to, f, c in _GRIDS if long_m <= up_to)
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MultipleLocator(coarse_m))
-        axis.set_minor_locator(MultipleLocator(fine_m))
-    axes.grid(which="minor", color="#EEEEEE", linewidth=0.5)
-    axes.grid(which="major", color="#CCCCCC", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
-    axes.set_xlabel(f"x in m (grid {fine_m:g} m / {coarse_m:g} m)")
-    axes.set_ylabel("y in m")
-
-
-def _draw_known(axes: Axes, known: PointMap, inches_per_m: float) -> None:
+def draw_known(
+    axes: Axes,
+    known: PointMap,
+    inches_per_m: float,
+    *,
+    colour: str = INK,
+    dots_per_inch: int = _DOTS_PER_INCH,
+) -> None:
+    """Walls in ``colour`` and the floor that was seen, on axes of this scale."""
     # No finer than the picture itself: memory goes with the picture, not with the hall.
-    dot_m = 1.0 / (inches_per_m * _DOTS_PER_INCH)
+    dot_m = 1.0 / (inches_per_m * dots_per_inch)
     image = occupancy_image(known, max(known.params.cell_m, dot_m))
     rows, columns = image.pixels.shape
     right = image.x_min_m + columns * image.resolution_m
@@ -207,7 +177,7 @@ def _draw_known(axes: Axes, known: PointMap, inches_per_m: float) -> None:
     # Half transparent: the grid shows through the floor.
     axes.imshow(
         np.ma.masked_where(image.pixels != FREE, image.pixels),
-        cmap=ListedColormap([_FLOOR]),
+        cmap=ListedColormap([FLOOR]),
         extent=(image.x_min_m, right, image.y_min_m, top),
         interpolation="nearest",
         alpha=0.7,
@@ -218,35 +188,16 @@ def _draw_known(axes: Axes, known: PointMap, inches_per_m: float) -> None:
     # As large as the cell that a point stands for, but never too small to be seen.
     points = max(known.params.cell_m * inches_per_m * 72.0, 1.0)
     axes.plot(
-        *walls.T, linestyle="", marker="s", markersize=points, markeredgewidth=0.0, color="black",
-        rasterized=True, zorder=2.0,
+        *walls.T, linestyle="", marker="s", markersize=points, markeredgewidth=0.0, color=colour,
+        rasterized=True, zorder=2.0, label="walls",
     )  # fmt: skip
 
 
-def _draw_path(axes: Axes, points: Array, label: str, colour: str, style: str) -> None:
-    axes.plot(*points.T, color=colour, linestyle=style, linewidth=1.3, label=label, zorder=3.0)
+def draw_path(axes: Axes, points: Array, label: str, drawn_as: style.Look) -> None:
+    """Points (n, 2) in m as a line that begins at a dot and ends at a cross."""
+    colour = drawn_as.colour
+    axes.plot(
+        *points.T, color=colour, linestyle=drawn_as.line, linewidth=1.3, label=label, zorder=3.0
+    )
     for end, marker in ((points[:1], "o"), (points[-1:], "X")):
         axes.plot(*end.T, marker, color=colour, markersize=6.0, zorder=3.1)
-
-
-def _draw_scale_bar(axes: Axes, low: Array, high: Array) -> None:
-    """The longest of 1, 2, 5, 10, ... m within a fifth of the width, at the lower left."""
-    width_m = float(high[0] - low[0])
-    lengths = np.outer(10.0 ** np.arange(-1, 4), (1.0, 2.0, 5.0)).ravel()
-    length_m = float(lengths[lengths <= 0.2 * width_m].max(initial=0.1))
-    x, y = low + 0.02 * float((high - low).max())
-    axes.plot([x, x + length_m], [y, y], color="black", linewidth=3.0, zorder=4.0)
-    axes.annotate(
-        f"{length_m:g} m", (x + 0.5 * length_m, y), xytext=(0.0, 4.0), textcoords="offset points",
-        ha="center", va="bottom", fontsize=9, zorder=4.0,
-        bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 1.0},
-    )  # fmt: skip
-
-
-def _save(figure: Figure, out: Path) -> None:
-    """Without dates, versions and random names in the file."""
-    metadata: dict[str, Any] = {".png": {"Software": None}, ".svg": {"Date": None}}
-    if out.suffix not in metadata:
-        raise ValueError(f"{out}: pictures end in .png or .svg")
-    with mpl.rc_context({"svg.hashsalt": "amr-slam"}):
-        figure.savefig(out, metadata=metadata[out.suffix])
