@@ -180,11 +180,14 @@ def with_box(known: PointMap, one: Box) -> PointMap:
     # Which side a point is on: a box is as wide as it is, and as deep.
     half = 0.5 * np.array([one.shape.width_m, one.shape.depth_m])
     across_x = np.abs(local[:, 0]) / half[0] >= np.abs(local[:, 1]) / half[1]
-    normal = np.where(
-        across_x[:, None],
-        np.column_stack([np.sign(local[:, 0]), np.zeros(len(local))]),
-        np.column_stack([np.zeros(len(local)), np.sign(local[:, 1])]),
-    ) @ one.pose.rotation.T
+    normal = (
+        np.where(
+            across_x[:, None],
+            np.column_stack([np.sign(local[:, 0]), np.zeros(len(local))]),
+            np.column_stack([np.zeros(len(local)), np.sign(local[:, 1])]),
+        )
+        @ one.pose.rotation.T
+    )
     double = 2.0 * np.arctan2(normal[:, 1], normal[:, 0])
     ones = np.full(len(border), _LOOKS)
     values = np.column_stack(

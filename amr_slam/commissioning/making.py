@@ -74,7 +74,5 @@ def make_report(
         starts=started,
         pairs=alike,
         resolutions=tuple(resolution(trials, pair) for pair in alike[: params.pairs_tried]),
-        anchors=tuple(
-            anchor(trials, exact, weak) for weak in exact.weak[: params.corridors_tried]
-        ),
+        anchors=tuple(anchor(trials, exact, weak) for weak in exact.weak[: params.corridors_tried]),
     )

@@ -83,7 +83,9 @@ def precision(
                 poses[row], covariances[row] = pose.as_array(), covariance
     errors = np.array([error95_m(one) for one in covariances])
     variances, directions = np.linalg.eigh(covariances[:, :2, :2])
-    axes = np.arctan(directions[:, 1, 1] / np.where(directions[:, 0, 1] == 0.0, 1e-12, directions[:, 0, 1]))
+    axes = np.arctan(
+        directions[:, 1, 1] / np.where(directions[:, 0, 1] == 0.0, 1e-12, directions[:, 0, 1])
+    )
     return Precision(
         places_m=chosen,
         spacing_m=spacing_m,

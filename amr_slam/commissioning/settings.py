@@ -8,8 +8,8 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from amr_slam.simulation import SCANNERS, opposite_scanners
 from amr_slam.commissioning.viewing import Eye
+from amr_slam.simulation import SCANNERS, opposite_scanners
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -127,6 +127,4 @@ def _covered(report: Report) -> Judged:
         answer += " Nothing within reach was left out."
     if found.counted:
         answer += f" {percent(found.seldom)} of it was seen by fewer than {report.params.seen_often} scans."
-    return Judged(
-        question="Is the map complete?", light=light, answer=answer, anchor="coverage"
-    )
+    return Judged(question="Is the map complete?", light=light, answer=answer, anchor="coverage")
