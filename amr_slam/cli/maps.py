@@ -1,4 +1,4 @@
-"""``amr-slam map info|render|export|edit|align``."""
+"""``amr-slam map info|render|export|edit|align|report``."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ import numpy as np
 from amr_slam.aligning import AlignError
 from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
+from amr_slam.commissioning.making import NothingToReport
+from amr_slam.config import ConfigError
 from amr_slam.map import LayerError, MapError, PointMap, load_map
 from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
 from amr_slam.map.file import VERSION
@@ -22,6 +24,8 @@ from amr_slam.recording import RecordingError, Trajectory, write_tum
 
 FAILURES: Final[dict[type[Exception], int]] = {
     UsageError: 2,
+    ConfigError: 2,
+    NothingToReport: 1,
     MapError: 1,
     LayerError: 1,
     AlignError: 1,
@@ -37,6 +41,10 @@ def run(arguments: argparse.Namespace) -> int:
         return align(arguments)
     if arguments.action == "edit":
         return edit(arguments)
+    if arguments.action == "report":
+        from amr_slam.cli.reporting import report  # noqa: PLC0415 - jinja2 and more, for this alone
+
+        return report(arguments)
     if arguments.action != "info":
         check_outputs(arguments.out, source=arguments.map)
     known, map_id = load_map(arguments.map)

@@ -89,8 +89,7 @@ def chart(
 
 def ground(axes: Axes, low: Array, high: Array) -> None:
     """Floor from corner ``low`` (2,) to ``high`` (2,), in m: grid, labels, limits, scale bar."""
-    long_m = float((high - low).max())
-    fine_m, coarse_m = next((f, c) for up_to, f, c in _GRIDS if long_m <= up_to)
+    fine_m, coarse_m = steps_of(float((high - low).max()))
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MultipleLocator(coarse_m))
         axis.set_minor_locator(MultipleLocator(fine_m))
@@ -103,6 +102,11 @@ def ground(axes: Axes, low: Array, high: Array) -> None:
     axes.set_xlabel(f"x in m (grid {fine_m:g} m / {coarse_m:g} m)", fontsize=_LABEL_PT)
     axes.set_ylabel("y in m", fontsize=_LABEL_PT)
     scale_bar(axes, low, high)
+
+
+def steps_of(long_m: float) -> tuple[float, float]:
+    """Of the faint and the strong lines in m, on a map whose longer side is ``long_m``."""
+    return next((f, c) for up_to, f, c in _GRIDS if long_m <= up_to)
 
 
 def scale_bar(axes: Axes, low: Array, high: Array) -> None:

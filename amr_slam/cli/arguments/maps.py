@@ -12,6 +12,7 @@ from amr_slam.cli.arguments.values import (
     mounting,
     path_ending,
     point,
+    poses,
     seconds,
 )
 
@@ -49,9 +50,9 @@ def add_map(commands: Subparsers[Parser]) -> None:
         required=True,
         help="what to write",
     )
-    align = _add_align(actions)
+    align, report = _add_align(actions), _add_report(actions)
     _add_edit(actions)
-    for action in (info, render, export, align):
+    for action in (info, render, export, align, report):
         action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
 
 
@@ -99,6 +100,40 @@ def _add_step(steps: Subparsers[Parser], name: str, summary: str, example: str) 
         help="older versions that stay as MAP.1, MAP.2, ... (default 2)",
     )
     return step
+
+
+def _add_report(actions: Subparsers[Parser]) -> Parser:
+    report = add_command(
+        actions,
+        "report",
+        "what it is good for: coverage, accuracy, look-alikes, and what to do about them",
+        "amr-slam map report hall.amrmap --config robot.toml --out hall.html",
+        "One HTML page that loads nothing from outside; print it for a PDF. The robot's search is run "
+        "at many simulated poses: some minutes for a large hall. docs/map-report.md.",
+    )
+    add = report.add_argument
+    add(
+        "--config",
+        metavar="FILE",
+        type=Path,
+        help="the robot's TOML: its scanners (default: two of 270 degrees at opposite corners)",
+    )
+    add(
+        "--out",
+        metavar="FILE.html",
+        type=path_ending(".html"),
+        default=Path("report.html"),
+        help="the page (default report.html)",
+    )
+    add("--json", metavar="FILE.json", type=path_ending(".json"), help="the same for programs")
+    add(
+        "--poses",
+        metavar="N",
+        type=poses,
+        help="cold starts that are tried over the floor, 10 to 5000 (default 240)",
+    )
+    add("--seed", metavar="N", type=count, default=0, help="of headings and noise (default 0)")
+    return report
 
 
 def _add_align(actions: Subparsers[Parser]) -> Parser:

@@ -32,6 +32,13 @@ def count(text: str) -> int:
     return int(text)
 
 
+def poses(text: str) -> int:
+    """A number from 10 to 5000."""
+    if not (text.isdecimal() and len(text) <= 4 and 10 <= int(text) <= 5000):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of poses from 10 to 5000")
+    return int(text)
+
+
 def days(text: str) -> int:
     """A number from 1 to 9999."""
     if not (text.isdecimal() and len(text) <= 4 and int(text) > 0):

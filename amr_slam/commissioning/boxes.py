@@ -1,0 +1,206 @@
+"""A box that is not there yet: where it could stand, and the map as it would be with it."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from amr_slam.clouds import CloudParams
+from amr_slam.commissioning.places import thinned
+from amr_slam.commissioning.viewing import Eye
+from amr_slam.geometry import Array, Pose2
+from amr_slam.map import PointMap
+from amr_slam.registration.alignment import Target
+from amr_slam.registration.casting import ranges
+from amr_slam.simulation.casting import cast
+from amr_slam.simulation.shapes import along_edges, box, edges
+
+# Between the wall and what stands at it.
+_GAP_M = 0.03
+# A corner is where another wall stands within this.
+_CORNER_M = 1.2
+_CORNER_BONUS = 1.25
+# How often the box is "seen": it counts as much as a wall that many scans saw.
+_LOOKS = 20.0
+# No box is worth more to a pose than this share of its scan.
+_ENOUGH = 0.15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shape:
+    """What people may put there."""
+
+    name: str
+    width_m: float
+    depth_m: float
+
+
+PALLET_BOX = Shape(name="box", width_m=1.2, depth_m=0.8)
+"""A pallet box, or a cabinet of that size."""
+PARTITION = Shape(name="partition", width_m=2.4, depth_m=0.3)
+"""A partition wall, or a row of cabinets."""
+POST = Shape(name="post", width_m=0.4, depth_m=0.3)
+"""A narrow cabinet, or a post."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Box:
+    """One at its place."""
+
+    shape: Shape
+    pose: Pose2
+    """Of its middle in the map; x along its width, y away from the wall."""
+    corner: bool
+    """Whether it stands in a corner."""
+
+    @property
+    def corners_m(self) -> Array:
+        """(4, 2) in the map."""
+        return self.pose @ box(self.shape.width_m, self.shape.depth_m)
+
+
+def candidates(
+    known: PointMap, near_m: Array, reach_m: float, shape: Shape, passage_m: float
+) -> list[Box]:
+    """Places for it at walls within ``reach_m`` of some of the points (n, 2) ``near_m``, which
+    leave ``passage_m`` before it."""
+    target = known.target()
+    faced = np.any(target.normals != 0.0, axis=1)
+    points, normals = target.points_m[faced], target.normals[faced]
+    if not len(points) or not len(near_m):
+        return []
+    near = np.isfinite(cKDTree(near_m).query(points, distance_upper_bound=reach_m)[0])
+    points, normals = points[near], normals[near]
+    if not len(points):
+        return []
+    chosen, _ = thinned(points, max(40, len(points) // 10), target.spacing_m)
+    normals = normals[cKDTree(points).query(chosen)[1]]
+    found = []
+    for point, normal in zip(chosen, normals, strict=True):
+        one = _at_wall(known, target, point, normal, shape, passage_m)
+        if one is not None:
+            found.append(one)
+    return found
+
+
+def _at_wall(
+    known: PointMap,
+    target: Target,
+    point: Array,
+    normal: Array,
+    shape: Shape,
+    passage_m: float,
+) -> Box | None:
+    middle = point + (0.5 * shape.depth_m + _GAP_M) * normal
+    along = np.array([normal[1], -normal[0]])
+    pose = Pose2(middle[0], middle[1], float(np.arctan2(along[1], along[0])))
+    front = np.linspace(-0.5, 0.5, 5)[:, None] * shape.width_m * along
+    front = front + middle + 0.5 * shape.depth_m * normal
+    if not np.all(target.lookup.seen_free(front + 0.1 * normal)):
+        return None
+    # Nothing stands in it, and there is room to pass.
+    inner = pose @ _filled(shape, 0.1)
+    if np.any(known.target().tree.query(inner[:, :2])[0] < 0.05 * shape.depth_m):
+        return None
+    ahead = ranges(target, front, np.broadcast_to(normal, front.shape).copy(), 30.0)
+    if float(ahead.min()) < passage_m:
+        return None
+    sides = np.array([middle, middle])
+    beside = ranges(target, sides, np.array([along, -along]), 30.0)
+    corner = float(beside.min()) <= 0.5 * shape.width_m + _CORNER_M
+    return Box(shape=shape, pose=pose, corner=corner)
+
+
+def _filled(shape: Shape, spacing_m: float) -> Array:
+    """(n, 2) points inside a shape about the origin, a little from its border."""
+    x = np.arange(-0.5 * shape.width_m + 0.06, 0.5 * shape.width_m - 0.05, spacing_m)
+    y = np.arange(-0.5 * shape.depth_m + 0.06, 0.5 * shape.depth_m - 0.05, spacing_m)
+    grid = np.meshgrid(x, y)
+    return np.column_stack([grid[0].ravel(), grid[1].ravel()])
+
+
+def ranked(
+    boxes: Sequence[Box],
+    target: Target,
+    eyes: Sequence[Eye],
+    poses: Sequence[Pose2],
+    params: CloudParams,
+) -> list[Box]:
+    """By how much of the scans at these poses they would be, most first; without those that no
+    pose sees."""
+    gains = np.zeros(len(boxes))
+    for pose in poses:
+        rays = [eye.rays(pose) for eye in eyes]
+        origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
+        to_wall = ranges(target, origins, directions, params.range_max_m)
+        angles = np.arctan2(directions[:, 1], directions[:, 0])
+        steps = np.concatenate([np.full(e.model.beams, abs(e.model.angle_step_rad)) for e in eyes])
+        surface = np.where(np.isfinite(to_wall), np.minimum(to_wall * steps / 0.05, 1.0), 0.0)
+        whole = max(float(surface.sum()), 1e-9)
+        for row, one in enumerate(boxes):
+            if np.hypot(*(one.pose.translation - pose.translation)) > params.range_max_m:
+                continue
+            to_box = cast(origins, angles, edges(one.corners_m))
+            met = to_box < to_wall - 0.05
+            share = float(np.minimum(to_box[met] * steps[met] / 0.05, 1.0).sum()) / whole
+            gains[row] += min(share, _ENOUGH) * (_CORNER_BONUS if one.corner else 1.0)
+    order = np.argsort(-gains, kind="stable")
+    return [boxes[row] for row in order if gains[row] > 0.0]
+
+
+def spread(boxes: Sequence[Box], most: int, apart_m: float) -> list[Box]:
+    """The first ``most`` that are ``apart_m`` from all before them."""
+    kept: list[Box] = []
+    for one in boxes:
+        if all(one.pose.distance_to(other.pose) >= apart_m for other in kept):
+            kept.append(one)
+        if len(kept) == most:
+            break
+    return kept
+
+
+def with_box(known: PointMap, one: Box) -> PointMap:
+    """The map of the same place with the box in it, as a robot would have mapped it. The map
+    itself stays as it is; the copy has no rays, and is good for localization only."""
+    after = PointMap(known.params, known.name)
+    after.walls, after.space = copy.copy(known.walls), copy.copy(known.space)
+    after.walls.sums, after.space.sums = known.walls.sums.copy(), known.space.sums.copy()
+    after.path, after.noises_m, after.rays = known.path, known.noises_m, known.rays
+    inside = one.pose @ _filled(one.shape, 0.5 * known.space.cell_m)
+    cells = after.space.find(np.unique(after.space.keys_of(inside)))
+    after.space.sums[cells[cells >= 0]] = 0.0
+    corners = one.corners_m
+    border = along_edges(corners, 0.5 * known.walls.cell_m)
+    out = border - one.pose.translation
+    local = out @ one.pose.rotation
+    # Which side a point is on: a box is as wide as it is, and as deep.
+    half = 0.5 * np.array([one.shape.width_m, one.shape.depth_m])
+    across_x = np.abs(local[:, 0]) / half[0] >= np.abs(local[:, 1]) / half[1]
+    normal = (
+        np.where(
+            across_x[:, None],
+            np.column_stack([np.sign(local[:, 0]), np.zeros(len(local))]),
+            np.column_stack([np.zeros(len(local)), np.sign(local[:, 1])]),
+        )
+        @ one.pose.rotation.T
+    )
+    double = 2.0 * np.arctan2(normal[:, 1], normal[:, 0])
+    ones = np.full(len(border), _LOOKS)
+    values = np.column_stack(
+        [
+            ones, ones * border[:, 0], ones * border[:, 1],
+            ones * np.cos(double), ones * np.sin(double),
+            ones * normal[:, 0], ones * normal[:, 1], ones,
+        ]
+    )  # fmt: skip
+    after.walls.add(after.walls.keys_of(border), values)
+    ends = np.unique(after.space.keys_of(border))
+    rows = after.space.find(ends)
+    after.space.sums[rows[rows >= 0]] = 0.0
+    after.space.add(ends, np.column_stack([np.zeros(len(ends)), np.full(len(ends), _LOOKS)]))
+    after.revision = 1
+    return after
