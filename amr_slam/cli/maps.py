@@ -1,4 +1,4 @@
-"""``amr-slam map info|render|export|align``."""
+"""``amr-slam map ...``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from amr_slam.aligning import AlignError
+from amr_slam.cli import living
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.map import MapError, PointMap, load_map
 from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
@@ -24,6 +25,7 @@ FAILURES: Final[dict[type[Exception], int]] = {
     MapError: 1,
     AlignError: 1,
     RecordingError: 1,
+    **living.FAILURES,
 }
 
 
@@ -33,6 +35,8 @@ def run(arguments: argparse.Namespace) -> int:
         from amr_slam.cli.aligning import align  # noqa: PLC0415 - scipy and more, for this alone
 
         return align(arguments)
+    if arguments.action in living.ACTIONS:
+        return living.run(arguments)
     if arguments.action != "info":
         check_outputs(arguments.out, source=arguments.map)
     known, map_id = load_map(arguments.map)

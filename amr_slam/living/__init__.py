@@ -10,6 +10,7 @@ from amr_slam.living.file import (
     resume_watching,
     save_changes,
 )
+from amr_slam.living.keeping import ChangeKeeper
 from amr_slam.living.params import AcceptPolicy, WatchParams
 from amr_slam.living.watcher import ChangeCounts, Watcher
 
@@ -17,6 +18,7 @@ __all__ = [
     "AcceptPolicy",
     "Accepted",
     "ChangeCounts",
+    "ChangeKeeper",
     "ChangesError",
     "MapChange",
     "MapDiff",

@@ -65,7 +65,7 @@ def _fits(change: MapChange, policy: AcceptPolicy) -> bool:
 
 def accept(known: PointMap, watcher: Watcher, chosen: Sequence[MapChange]) -> Accepted:
     """A new map with the chosen changes of ``watcher.diff()`` in it."""
-    fresh = _copied(known)
+    fresh = known.copied()
     space = fresh.space
     seen = {
         change.number: watcher.rays_in(_widened(space, change.cells_m))
@@ -84,16 +84,6 @@ def accept(known: PointMap, watcher: Watcher, chosen: Sequence[MapChange]) -> Ac
         _put(fresh, change, seen[change.number])
     fresh.revision += 1
     return Accepted(map=fresh, taken=taken, left=left)
-
-
-def _copied(known: PointMap) -> PointMap:
-    fresh = PointMap(known.params, known.name)
-    for ours, theirs in ((fresh.walls, known.walls), (fresh.space, known.space)):
-        ours.keys, ours.sums = theirs.keys.copy(), theirs.sums.copy()
-    fresh.path, fresh.noises_m = list(known.path), list(known.noises_m)
-    fresh.rays, fresh.reframings = list(known.rays), known.reframings
-    fresh.revision = known.revision
-    return fresh
 
 
 def _widened(space: SparseGrid, cells_m: Array) -> Keys:

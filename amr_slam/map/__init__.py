@@ -4,7 +4,7 @@ from amr_slam.map.file import MapError, load_map, save_map
 from amr_slam.map.moving import moved
 from amr_slam.map.pointmap import MapParams, PointMap
 from amr_slam.map.provenance import Reframing
-from amr_slam.map.versions import LoadedMap, load_newest
+from amr_slam.map.versions import LoadedMap, load_newest, roll_back
 
 __all__ = [
     "LoadedMap",
@@ -15,5 +15,6 @@ __all__ = [
     "load_map",
     "load_newest",
     "moved",
+    "roll_back",
     "save_map",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -143,6 +144,17 @@ class PointMap:
                 fresh.path.append((stamp_ns, pose))
                 fresh.noises_m.append(sigma_m)
                 fresh.rays.append(rays)
+        return fresh
+
+    def copied(self) -> PointMap:
+        """A map of its own with the same content."""
+        fresh = copy.copy(self)
+        fresh.walls, fresh.space = copy.copy(self.walls), copy.copy(self.space)
+        for grid in (fresh.walls, fresh.space):
+            grid.keys, grid.sums = grid.keys.copy(), grid.sums.copy()
+        fresh.path, fresh.noises_m = list(self.path), list(self.noises_m)
+        fresh.rays = list(self.rays)
+        vars(fresh).update(_places={}, _deconvolution=None)
         return fresh
 
     def move(self, poses: Sequence[Pose2]) -> None:
