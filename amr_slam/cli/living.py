@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import datetime
+import datetime as dt
 import json
 import sys
 import uuid
@@ -18,8 +18,8 @@ from amr_slam.living import (
     MapChange,
     MapDiff,
     OtherFrameError,
-    WatchParams,
     Watcher,
+    WatchParams,
     accept,
     changes_path,
     compare_maps,
@@ -115,7 +115,7 @@ def _list(diff: MapDiff) -> None:
 def _told(utc_s: float | None) -> str:
     if utc_s is None:
         return "-" + 15 * " "
-    return datetime.datetime.fromtimestamp(utc_s, datetime.UTC).strftime("%Y-%m-%d %H:%M")
+    return dt.datetime.fromtimestamp(utc_s, dt.UTC).strftime("%Y-%m-%d %H:%M")
 
 
 def _accept(arguments: argparse.Namespace) -> int:
