@@ -31,7 +31,9 @@ from amr_slam.evidence import (
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.graph.chart import Chart
 from amr_slam.inspection import Inspection, Inspector, Looks
+from amr_slam.living import ChangeCounts, Watcher
 from amr_slam.map import LayerKind, PointMap
+from amr_slam.map.held import Held
 from amr_slam.params import SlamParams
 from amr_slam.region import Region, slam_region
 from amr_slam.registration.icp import Prior, points_alone
@@ -99,6 +101,8 @@ class SlamResult:
     """How far the map's walls may lie from where it has them: an error that all fixes share."""
     joined_at: tuple[Pose2, Array] | None = None
     """``inserted``: pose and covariance (3, 3) with which the scan joined the map of before."""
+    changes: ChangeCounts | None = None
+    """Localization: what has been watched of the map's changes; None where nothing is watched."""
 
 
 class SlamEngine:
@@ -113,6 +117,16 @@ class SlamEngine:
         # A map that was loaded is held for true: its loops are closed.
         self.chart = Chart(params) if mode == "mapping" and not len(grown) else None
         self._inspector = Inspector(params)
+        self.watcher: Watcher | None = None
+        """Localization: hears of each scan that is accepted where it was expected. Set by who
+        keeps what it has seen."""
+        self.utc_from_stamp_ns = 0
+        """For the watcher: a cloud's stamp and this are UTC."""
+        self._held: Held | None = None
+
+    def hold(self) -> None:
+        """From now on what is in the map stays as it is; what is new joins it."""
+        self._held = Held(self.map)
 
     def update(self, request: SlamRequest) -> SlamResult:
         """Register one cloud. Never raises for what a scan contains."""
@@ -145,7 +159,16 @@ class SlamEngine:
         inserted = len(self.map.path) > scans
         result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
         change = self._compare(cloud, climbed[0] if fix is None else answer)
-        return replace(result, change=change, inspection=inspection, moved=moved)
+        if believed and prior is not None and fix is not None and answer.best is not None:
+            self._watch(cloud, answer.best.pose, inverse_matrix(prior.information), fix)
+        counts = None if self.watcher is None else self.watcher.counts()
+        return replace(result, change=change, inspection=inspection, moved=moved, changes=counts)
+
+    def _watch(self, cloud: Cloud, pose: Pose2, prior: Array, fix: SlamPose) -> None:
+        if self.watcher is None or self.mode == "mapping":
+            return
+        known = inverse_matrix(inverse_matrix(prior) + inverse_matrix(fix.covariance))
+        self.watcher.see(cloud, pose, known, cloud.stamp_ns + self.utc_from_stamp_ns)
 
     @property
     def local(self) -> PointMap:
@@ -333,7 +356,7 @@ class SlamEngine:
     def join(self, cloud: Cloud, pose: Pose2, covariance: Array) -> Pose2 | None:
         """Let a scan become part of the map, as :attr:`SlamResult.joined_at` told of it. The same
         scans make the same map. What closing a loop has moved the newest pose by, if it has."""
-        self.map.insert(cloud, pose)
+        (self.map if self._held is None else self._held).insert(cloud, pose)
         self._last_inserted, self._joined = pose, (pose, covariance)
         if self.chart is None:
             return None

@@ -11,6 +11,7 @@ from annotated_types import Ge, Gt, Le
 
 from amr_slam.clouds import CloudParams
 from amr_slam.geometry import Array
+from amr_slam.living.params import WatchParams
 from amr_slam.map.pointmap import MapParams
 from amr_slam.registration.cpd import CpdParams
 from amr_slam.registration.field import FieldParams
@@ -148,6 +149,8 @@ class SlamParams:
     """... or this much turn since the last one: a standing robot adds nothing but noise."""
     closing: ClosingParams = field(default_factory=ClosingParams)
     """Loops of a growing map."""
+    watching: WatchParams = field(default_factory=WatchParams)
+    """Changes of the place, while localizing."""
 
     @property
     def window_min(self) -> Array:

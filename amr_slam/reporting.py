@@ -8,6 +8,7 @@ import numpy as np
 
 from amr_slam.fusion import Calibration
 from amr_slam.geometry import Array, Pose2
+from amr_slam.living import ChangeCounts
 from amr_slam.samples import Candidate, Health, PoseEstimate
 from amr_slam.wheel_events import WheelEvent
 from amr_slam.wire import (
@@ -15,6 +16,7 @@ from amr_slam.wire import (
     UNKNOWN,
     CalibrationPart,
     CandidatePart,
+    ChangesPart,
     EpochDelta,
     HealthPart,
     OdomPose,
@@ -93,6 +95,16 @@ def map_from_base(message: PoseMessage) -> Pose2:
 def health_part(health: Health) -> HealthPart:
     """A device's health for a status message."""
     return HealthPart.model_validate({**asdict(health), "link": health.link.name})
+
+
+def changes_part(counts: ChangeCounts) -> ChangesPart:
+    """What has been watched of the map's changes."""
+    since_s = counts.oldest_since_s
+    return ChangesPart(
+        new=counts.new,
+        gone=counts.gone,
+        oldest_since=None if since_s is None else max(0.0, since_s),
+    )
 
 
 def candidate_part(candidate: Candidate) -> CandidatePart:

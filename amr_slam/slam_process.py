@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import logging
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
@@ -20,10 +21,14 @@ from typing import Final
 from amr_slam.clouds import Cloud
 from amr_slam.engine import Mode, SlamEngine, SlamRequest, SlamResult
 from amr_slam.geometry import Array, Pose2
+from amr_slam.living import AcceptPolicy, ChangeKeeper
 from amr_slam.map import LoadedMap, MapError, PointMap, load_newest, save_map
 from amr_slam.map.export import image_within, png_bytes
+from amr_slam.map.lineage import frame_of
 from amr_slam.params import SlamParams
 from amr_slam.warming import warm_up
+
+_log = logging.getLogger(__name__)
 
 _NICENESS = 5
 """The poses' process goes first where processors are few."""
@@ -58,6 +63,10 @@ class SlamJob:
     """Mapping: a map that changed is saved this often."""
     saved_before: bool = False
     """The file at ``target`` is this run's own, not an older map that is worth keeping."""
+    hold: bool = False
+    """Mapping: what is in the map at first stays as it is."""
+    policy: AcceptPolicy = field(default_factory=AcceptPolicy)
+    """Localization: changes that become a new version of the map by themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +96,15 @@ class Saved:
 
     map_scans: int
     error: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Renewed:
+    """The map has become a newer version of itself, in the same frame."""
+
+    ready: Ready
+    taken: int
+    """Changes that it has taken in."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +160,8 @@ class Switched:
 
     job: SlamJob
     ready: Ready
+    same_frame: bool = False
+    """Localization, before and after, in two versions of one map: a pose in it is still true."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -193,28 +213,39 @@ def serve(pipe: Connection, job: SlamJob) -> None:
     warm_up(job.params)
     try:
         pipe.send(server.ready())
-        while True:
-            if pipe.poll(server.keeper.due_s()):
-                request = pipe.recv()
-                if isinstance(request, Stop):
-                    break
-                if isinstance(request, Unsaved):
-                    server.join(request)
-                    continue
-                pipe.send(server.answer(request))
-            if server.keeper.due_s() == 0.0:
-                pipe.send(server.keeper.save())
+        _loop(pipe, server)
     except (EOFError, ConnectionError):
-        server.keeper.save_if_changed()  # the parent is gone: nobody to answer, a map to keep
+        server.save()  # the parent is gone: nobody to answer, a map to keep
         return
-    saved = server.keeper.save_if_changed()
+    saved = server.save()
     if saved is not None:
         with contextlib.suppress(ConnectionError):
             pipe.send(saved)
 
 
+def _loop(pipe: Connection, server: _Server) -> None:
+    while True:
+        if pipe.poll(server.due_s()):
+            request = pipe.recv()
+            if isinstance(request, Stop):
+                return
+            if isinstance(request, Unsaved):
+                server.join(request)
+                continue
+            pipe.send(server.answer(request))
+        if server.keeper.due_s() == 0.0:
+            pipe.send(server.keeper.save())
+        renewed = server.look_after_changes()
+        if renewed is not None:
+            pipe.send(renewed)
+
+
 class _Server:
     """One job's engine and map; :class:`Switch` replaces both."""
+
+    _engine: SlamEngine
+    _changes: ChangeKeeper | None
+    """What is watched of the map, if anything is."""
 
     def __init__(self, job: SlamJob) -> None:
         """Raises MapError."""
@@ -229,6 +260,34 @@ class _Server:
             path=None if loaded is None else loaded.path,
             complaint=None if loaded is None else loaded.complaint,
         )
+
+    def due_s(self) -> float | None:
+        """Seconds until something is to be done by itself; None for never."""
+        due = (self.keeper.due_s(), None if self._changes is None else self._changes.due_s())
+        return min((one for one in due if one is not None), default=None)
+
+    def save(self) -> Saved | None:
+        """All that would be lost; what became of the map, where that had changed."""
+        if self._changes is not None:
+            self._changes.save()
+        return self.keeper.save_if_changed()
+
+    def look_after_changes(self) -> Renewed | None:
+        """Where it is time to: write what was watched, and accept what the policy says."""
+        changes, loaded = self._changes, self._loaded
+        if changes is None or loaded is None or changes.due_s() != 0.0:
+            return None
+        changes.save()
+        done = changes.accepted(self._job.policy)
+        if done is None or loaded.complaint is not None:
+            return None
+        try:
+            map_id = save_map(done.map, loaded.path, keep=self._job.policy.keep)
+        except MapError as error:
+            _log.warning("changes are not accepted: %s", error)
+            return None
+        self._adopt(self._job, replace(loaded, map=done.map, map_id=map_id))
+        return Renewed(ready=self.ready(), taken=len(done.taken))
 
     def answer(self, request: SlamRequest | Task) -> SlamResult | TaskAnswer:
         try:
@@ -259,14 +318,24 @@ class _Server:
         if job.target is not None:
             _must_be_free(job.target)
         loaded = _load(job)
-        saved = self.keeper.save_if_changed()
+        saved = self.save()
         if saved is not None and saved.error is not None:
             raise MapError(saved.error)
+        same_frame = loaded is not None and self._shares_frame(job, loaded.map)
         self._adopt(job, loaded)
-        return Switched(job=job, ready=self.ready())
+        return Switched(job=job, ready=self.ready(), same_frame=same_frame)
+
+    def _shares_frame(self, job: SlamJob, known: PointMap) -> bool:
+        frame = frame_of(known)
+        both = self._job.mode == job.mode == "localization"
+        return both and frame != "" and frame == frame_of(self._engine.map)
 
     def _grow(self, job: SlamJob) -> Switched:
+        self.save()
+        self._changes = self._engine.watcher = None
         self._job, self._engine.mode = job, job.mode
+        if job.hold:
+            self._engine.hold()
         self.keeper = _Keeper(job, self._engine.map, self._engine.settle)
         return Switched(job=job, ready=self.ready())
 
@@ -275,6 +344,19 @@ class _Server:
         self._job, self._loaded = job, loaded
         self._engine = SlamEngine(job.params, grown, job.mode)
         self.keeper = _Keeper(job, grown, self._engine.settle)
+        self._changes = self._watched(job, loaded)
+        if self._changes is not None:
+            self._engine.watcher = self._changes.watcher
+            self._engine.utc_from_stamp_ns = time.time_ns() - time.monotonic_ns()
+        if job.hold and job.mode == "mapping":
+            self._engine.hold()
+
+    @staticmethod
+    def _watched(job: SlamJob, loaded: LoadedMap | None) -> ChangeKeeper | None:
+        watches = job.mode == "localization" and job.params.watching.watch
+        if not watches or loaded is None or job.source is None:
+            return None
+        return ChangeKeeper(loaded.map, loaded.map_id, job.source, job.params.watching)
 
     def _store(self, task: Store) -> Stored:
         grown = self._engine.map

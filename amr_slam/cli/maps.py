@@ -1,4 +1,4 @@
-"""``amr-slam map info|render|export|edit|align|report``."""
+"""``amr-slam map ...``."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from amr_slam.aligning import AlignError
+from amr_slam.cli import living
 from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.commissioning.making import NothingToReport
@@ -30,6 +31,7 @@ FAILURES: Final[dict[type[Exception], int]] = {
     LayerError: 1,
     AlignError: 1,
     RecordingError: 1,
+    **living.FAILURES,
 }
 
 
@@ -45,6 +47,8 @@ def run(arguments: argparse.Namespace) -> int:
         from amr_slam.cli.reporting import report  # noqa: PLC0415 - jinja2 and more, for this alone
 
         return report(arguments)
+    if arguments.action in living.ACTIONS:
+        return living.run(arguments)
     if arguments.action != "info":
         check_outputs(arguments.out, source=arguments.map)
     known, map_id = load_map(arguments.map)

@@ -26,6 +26,7 @@ from amr_slam.encodings.vda5050 import Vda5050Settings
 from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
+from amr_slam.living import AcceptPolicy
 from amr_slam.localizer import LocalizerParams
 from amr_slam.mounting import Mask, Mounting
 from amr_slam.odometry import Odometry, drive_kinds
@@ -126,6 +127,13 @@ class MapSettings:
     """Mapping: where ``<name>.amrmap`` is saved."""
     name: Name = "map"
     """Mapping: the new map's name."""
+    extend: bool = False
+    """Mapping: a map of that name which is there already grows on, once the robot is found in it;
+    otherwise a new one begins, and the old one stays as a version of the file."""
+    hold: bool = True
+    """Extending: what is in the map at first stays as it is; false lets scans improve it."""
+    accept: AcceptPolicy = field(default_factory=AcceptPolicy)
+    """Localization: changes that become a new version of the map without a person."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

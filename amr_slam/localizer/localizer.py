@@ -212,9 +212,13 @@ class Localizer:
         """The map in which the robot was localized grows from now on; its pose goes on."""
         self._commands.go_on_mapping()
 
-    def restart(self, mode: Mode) -> None:
-        """Poses refer to another map from now on: a new epoch. ``odom`` goes on."""
-        self._commands.restart(mode)
+    def restart(self, mode: Mode, keeps_pose: bool = False) -> None:  # noqa: FBT001 - recorded
+        """Poses refer to another map from now on: a new epoch. ``odom`` goes on.
+
+        ``keeps_pose``: it is another version of the map in the same frame, so that the pose, if
+        there is one, is still true; ``odometry_only`` until a scan agrees.
+        """
+        self._commands.restart(mode, keeps_pose=keeps_pose)
 
     # -- estimates out ---------------------------------------------------------------------
 

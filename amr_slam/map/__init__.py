@@ -5,7 +5,7 @@ from amr_slam.map.layers import Edit, Layer, LayerError, LayerKind, Layers
 from amr_slam.map.moving import moved
 from amr_slam.map.pointmap import MapParams, PointMap
 from amr_slam.map.provenance import Imported, Reframing
-from amr_slam.map.versions import LoadedMap, load_newest
+from amr_slam.map.versions import LoadedMap, load_newest, roll_back
 
 __all__ = [
     "Edit",
@@ -22,5 +22,6 @@ __all__ = [
     "load_map",
     "load_newest",
     "moved",
+    "roll_back",
     "save_map",
 ]

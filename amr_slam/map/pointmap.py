@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -157,6 +158,17 @@ class PointMap:
         """Lay these over the map, in place of those that are there."""
         self.layers = layers
         self.revision += 1
+
+    def copied(self) -> PointMap:
+        """A map of its own with the same content."""
+        fresh = copy.copy(self)
+        fresh.walls, fresh.space = copy.copy(self.walls), copy.copy(self.space)
+        for grid in (fresh.walls, fresh.space):
+            grid.keys, grid.sums = grid.keys.copy(), grid.sums.copy()
+        fresh.path, fresh.noises_m = list(self.path), list(self.noises_m)
+        fresh.rays = list(self.rays)
+        vars(fresh).update(_places={}, _deconvolution=None)
+        return fresh
 
     def move(self, poses: Sequence[Pose2]) -> None:
         """Become the map that :meth:`rebuilt` gives: whoever holds this one sees its scans move."""

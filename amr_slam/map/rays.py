@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,28 @@ class Rays:
     def __len__(self) -> int:
         return len(self.ends)
 
+    @property
+    def ends_m(self) -> Array:
+        """(n, 2) where the rays ended, in the base frame."""
+        return np.asarray(self.ends * self.quantum_m, dtype=np.float64)
+
+    @property
+    def origins_m(self) -> Array:
+        """(n, 2) where the scanner stood, in the base frame."""
+        return np.asarray(self.origins * self.quantum_m, dtype=np.float64)
+
+    def take(self, kept: NDArray[np.bool_]) -> Rays:
+        """Only these (n,)."""
+        if kept.all():
+            return self
+        return replace(
+            self,
+            ends=self.ends[kept],
+            origins=self.origins[kept],
+            normals=self.normals[kept],
+            weights=self.weights[kept],
+        )
+
     def cloud(self, stamp_ns: int, sigma_m: float) -> Cloud:
         """The scan as it was inserted, but for the rounding."""
         known = self.normals != _UNKNOWN
@@ -52,9 +74,9 @@ class Rays:
         normals = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return Cloud(
             stamp_ns=stamp_ns,
-            points_m=np.asarray(self.ends * self.quantum_m, dtype=np.float64),
+            points_m=self.ends_m,
             normals=np.where(known[:, None], normals, 0.0),
-            origins_m=np.asarray(self.origins * self.quantum_m, dtype=np.float64),
+            origins_m=self.origins_m,
             weights=np.maximum(self.weights, 1) / 255.0,
             # Who saw it matters where a place is sought, not where a map is made.
             scanners=np.zeros(len(self), dtype=np.int8),

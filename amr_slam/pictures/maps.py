@@ -13,6 +13,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 
 from amr_slam.geometry import Array
+from amr_slam.living import MapDiff
 from amr_slam.map import LayerKind, Layers, PointMap
 from amr_slam.map.export import FREE, occupancy_image
 from amr_slam.pictures import style
@@ -93,6 +94,29 @@ def draw_alignment(
     if len(starts_m):
         axes.plot(*starts_m.T, ".", color=BLUE, markersize=2.0, label="pairs", zorder=2.8)
         _draw_arrows(axes, starts_m, offsets_m)
+    canvas.finish(out)
+    return canvas.place
+
+
+def draw_changes(known: PointMap, diff: MapDiff, out: Path, title: str) -> Georeference:
+    """A map with what has changed in it: squares what is new, crosses what is gone, each thing with
+    its number. Raises as :func:`draw_map`."""
+    canvas = _canvas(known, [change.cells_m for change in diff.changes], title)
+    for kind, colour, marker in (("new", VERMILION, "s"), ("gone", BLUE, "x")):
+        things = [change for change in diff.changes if change.kind == kind]
+        if not things:
+            continue
+        cells = np.concatenate([change.cells_m for change in things])
+        canvas.axes.plot(
+            *cells.T, marker, color=colour, markersize=3.5, markeredgewidth=1.2,
+            label=f"{kind} ({len(things)})", zorder=3.0,
+        )  # fmt: skip
+        for change in things:
+            canvas.axes.annotate(
+                str(change.number), change.centre_m, ha="center", va="center", fontsize=9,
+                color=colour, fontweight="bold", zorder=4.0,
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8},
+            )  # fmt: skip
     canvas.finish(out)
     return canvas.place
 

@@ -88,10 +88,10 @@ class WitnessedLocalizer(Localizer):
         self._tell("forget")
         super().forget()
 
-    def restart(self, mode: Mode) -> None:
+    def restart(self, mode: Mode, keeps_pose: bool = False) -> None:  # noqa: FBT001 - recorded
         """See :class:`Localizer`."""
-        self._tell("restart", mode)
-        super().restart(mode)
+        self._tell("restart", mode, keeps_pose)
+        super().restart(mode, keeps_pose)
 
     def go_on_mapping(self) -> None:
         """See :class:`Localizer`."""

@@ -14,12 +14,23 @@ from amr_slam.config import Config
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Localizer
 from amr_slam.region import Region
+from amr_slam.samples import State
 from amr_slam.seeking import Seek
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.tasks import Tasks
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked, ImageWanted, MapFile, MapWanted, Picture
-from amr_slam.slam_process import Draw, Drawn, SlamJob, Store, Stored, Switch, Switched, TaskAnswer
+from amr_slam.slam_process import (
+    Draw,
+    Drawn,
+    Grow,
+    SlamJob,
+    Store,
+    Stored,
+    Switch,
+    Switched,
+    TaskAnswer,
+)
 from amr_slam.wire import (
     CommandReply,
     LoadMap,
@@ -80,6 +91,8 @@ class Commands:
                     asked.not_done(objection)
                 else:
                     self._pose(asked, request, now_ns)
+            case StartMapping() if request.extend:
+                self._extend(asked, request, now_ns)
             case StartMapping():
                 self._switch(asked, self._mapping_job(request.name))
             case LoadMap():
@@ -134,6 +147,26 @@ class Commands:
 
     # -- maps
 
+    def _extend(self, asked: Asked, request: StartMapping, now_ns: int) -> None:
+        """A map never forgets a wrong pose: nothing joins it before the robot is found in it."""
+        path, active = self._path(request.name), self._worker.active_map
+        is_active = active is not None and active.path is not None and active.path == path
+        if not is_active or self._worker.mode == "mapping":
+            asked.not_done(f"{request.name} is not the map that is localized in: load_map first")
+            return
+        estimate = self._localizer.estimate(now_ns)
+        if estimate is None or estimate.state is not State.LOCALIZED:
+            asked.not_done("not before the robot is localized in it")
+            return
+        job = replace(self._mapping_job(request.name), source=path, hold=request.hold)
+        self._tasks.add(asked, Grow(job=job), lambda answer: self._grown(asked, answer))
+
+    def _grown(self, asked: Asked, answer: TaskAnswer) -> None:
+        """The pose goes on: its frame is the same."""
+        assert isinstance(answer, Switched)
+        self._localizer.go_on_mapping()
+        self._tell_map(asked)
+
     def _mapping_job(self, name: str) -> SlamJob:
         return replace(
             self._worker.job,
@@ -164,7 +197,10 @@ class Commands:
     def _switched(self, asked: Asked, answer: TaskAnswer) -> None:
         """In the same turn the poses' map, frame and epoch change."""
         assert isinstance(answer, Switched)
-        self._localizer.restart(answer.job.mode)
+        self._localizer.restart(answer.job.mode, answer.same_frame)
+        self._tell_map(asked)
+
+    def _tell_map(self, asked: Asked) -> None:
         active = self._worker.active_map
         assert active is not None
         asked.done(

@@ -13,6 +13,7 @@ import signal
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -40,7 +41,7 @@ from amr_slam.service.upkeep import Upkeep
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
 from amr_slam.shadow import Shadow
-from amr_slam.slam_process import SlamJob
+from amr_slam.slam_process import Renewed, SlamJob
 
 _log = logging.getLogger(__name__)
 
@@ -81,9 +82,10 @@ def startup(
     opened.callback(recorder.close)
     memory = config.map.directory / f"{config.robot.name}.lastpose"
     recollection = Recollection(memory)
-    job, cut_off = _job(config), None
-    if job.target is not None and recollection.cut_off == job.name and job.target.exists():
-        job, cut_off = localizing_first(job), job
+    job, wanted = _job(config), None
+    cut_off = recollection.cut_off == job.name
+    if job.target is not None and (cut_off or config.map.extend) and job.target.exists():
+        job, wanted = localizing_first(job), replace(job, source=job.target, saved_before=cut_off)
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
     worker = SlamWorker(job, inbox.put, config.service.answer_limit_s)
     opened.callback(_stop_worker, worker, inbox)
@@ -110,7 +112,7 @@ def startup(
     upkeep = Upkeep(
         recollection=recollection,
         remembering=remembering,
-        resuming=Resuming(worker, cut_off),
+        resuming=Resuming(worker, wanted),
     )
     daemon = Daemon(
         config, config_path, inbox, worker, reporter, recorder, upkeep=upkeep, signals=signals
@@ -220,6 +222,8 @@ class Daemon:
                 samples.append(item)
             elif isinstance(answer := self._worker.hear(item), SlamResult):
                 samples.append(answer)
+            elif isinstance(answer, Renewed):
+                self._localizer.restart(self._worker.mode, True)
             elif answer is not None:
                 if not self._upkeep.resuming.heard(answer, self._localizer):
                     self._tasks.heard(answer)
@@ -304,6 +308,8 @@ def _job(config: Config) -> SlamJob:
         target=config.map.directory / f"{config.map.name}.amrmap" if mapping else None,
         name=config.map.name,
         save_period_s=config.service.save_period_s,
+        hold=mapping and config.map.extend and config.map.hold,
+        policy=config.map.accept,
     )
 
 

@@ -19,6 +19,7 @@ from amr_slam.publishing import RobotPublisher
 from amr_slam.reporting import (
     calibration_part,
     candidate_part,
+    changes_part,
     health_part,
     pose_message,
     scan_message,
@@ -217,6 +218,7 @@ class Reporter:
             slips=tuple(
                 slip_part(event, self._clock.utc_from_monotonic_ns) for event in self._slips
             ),
+            changes=None if self._worker.changes is None else changes_part(self._worker.changes),
             refused_requests=self._publisher.refused,
             shadow=None if self._shadow is None else self._shadow.part(),
         )

@@ -1,7 +1,8 @@
-"""Mapping that was cut off: it goes on once scans have found the robot in the map that is on disk.
+"""A map on disk that is to grow on: once scans have found the robot in it.
 
-A map never forgets a wrong pose, so nothing joins it before that. A run that ended by itself is
-not gone on with: the next one begins a new map.
+A map never forgets a wrong pose, so nothing joins it before that. It is one whose mapping was cut
+off, or one that is to be extended. A run that ended by itself is not gone on with unless the
+configuration says so: the next one begins a new map.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _log = logging.getLogger(__name__)
 
 
 def localizing_first(job: SlamJob) -> SlamJob:
-    """The job with which a mapping job that was cut off begins again."""
+    """The job with which a mapping job begins that goes on with its file."""
     return replace(job, mode="localization", source=job.target, target=None)
 
 
@@ -33,7 +34,7 @@ class Resuming:
         self._wanted = wanted
         self._asked = False
         if wanted is not None:
-            _log.warning("mapping was cut off: %s goes on when the robot is found", wanted.target)
+            _log.warning("%s: %s goes on when the robot is found", self._why(), wanted.target)
 
     @property
     def waits(self) -> bool:
@@ -46,9 +47,13 @@ class Resuming:
         if self._wanted is None:
             return None
         return (
-            f"mapping was cut off; {self._wanted.name} grows on as soon as the robot is found "
+            f"{self._why()}; {self._wanted.name} grows on as soon as the robot is found "
             "in it: stop it where the map is known"
         )
+
+    def _why(self) -> str:
+        cut_off = self._wanted is not None and self._wanted.saved_before
+        return "mapping was cut off" if cut_off else "the map is to be extended"
 
     def turn(self, state: State | None) -> None:
         """Ask for it when the robot is found; give it up when somebody has chosen another map."""
@@ -58,7 +63,7 @@ class Resuming:
             self._wanted = None
         elif state is State.LOCALIZED and self._worker.idle:
             self._asked = True
-            self._worker.submit(Grow(job=replace(self._wanted, saved_before=True)))
+            self._worker.submit(Grow(job=self._wanted))
 
     def heard(self, answer: TaskAnswer, localizer: Localizer) -> bool:
         """Whether the process's answer is for this."""

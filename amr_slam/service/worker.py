@@ -24,6 +24,7 @@ from typing import Final
 
 from amr_slam import slam_process
 from amr_slam.engine import Mode, SlamRequest, SlamResult
+from amr_slam.living import ChangeCounts
 from amr_slam.samples import Health, Link
 from amr_slam.service.pipe import FromWorker, Outgoing, receive, send
 from amr_slam.slam_process import (
@@ -32,6 +33,7 @@ from amr_slam.slam_process import (
     Joined,
     Ready,
     Refused,
+    Renewed,
     Saved,
     SlamJob,
     Stop,
@@ -104,6 +106,8 @@ class SlamWorker:
         self.warning: str | None = None
         """What to tell with every pose while it lasts: a map that cannot be saved, or an older
         version that stands in for a damaged one."""
+        self.changes: ChangeCounts | None = None
+        """What has been watched of the map's changes, as of the newest answer."""
         self._asked: SlamRequest | None = None
         # What a new process needs beside the file on disk to go on as if nothing had happened.
         self._unsaved: deque[Joined] = deque(maxlen=_MOST_UNSAVED)
@@ -150,8 +154,8 @@ class SlamWorker:
         self._deadline_ns = time.monotonic_ns() + self._limit_ns
         self._outbox.put(request)
 
-    def hear(self, received: FromWorker) -> SlamResult | TaskAnswer | None:
-        """Take in what the process sent; the answer, if it was one."""
+    def hear(self, received: FromWorker) -> SlamResult | TaskAnswer | Renewed | None:
+        """Take in what the process sent; the answer, if it was one, or that the map is another."""
         message = received.message
         if received.generation != self._generation:
             return None
@@ -169,6 +173,10 @@ class SlamWorker:
                 return message
             case Switched() | Stored() | Drawn() | Declined():
                 self._on_task_answer(message)
+                return message
+            case Renewed():
+                self._on_map(message.ready)
+                _log.info("slam: the map has taken in %d changes", message.taken)
                 return message
             case None:
                 self._on_death()
@@ -285,7 +293,7 @@ class SlamWorker:
         if isinstance(message, Switched):
             self._job = message.job
             self._run_id = str(uuid.uuid4()) if self.mode == "mapping" else None
-            self._detail = self.fault = None
+            self._detail = self.fault = self.changes = None
             self._unsaved.clear()
             self._on_map(message.ready)
             _log.info("slam: %s, map %s", self.mode, message.ready.map_name)
@@ -327,6 +335,7 @@ class SlamWorker:
         self._answered_ns = now_ns
         self._deadline_ns = None
         self._answers += 1
+        self.changes = message.changes
         self._retry_ns = _FIRST_RETRY_NS
         if message.joined_at is not None and self._asked is not None:
             pose, covariance = message.joined_at

@@ -92,10 +92,14 @@ class Relocalize(Command):
 
 
 class StartMapping(Command):
-    """Begin a new map here."""
+    """Begin a new map here, or go on with the one in which the robot is localized."""
 
     kind: ClassVar[str] = "start_mapping"
     name: MapName
+    extend: bool = False
+    """The map of this name is the active one, and grows on."""
+    hold: bool = True
+    """Extending: what is in the map already stays as it is."""
 
 
 class SaveMap(Command):

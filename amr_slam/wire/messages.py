@@ -106,6 +106,17 @@ class MapPart(Part):
     version: Count
 
 
+class ChangesPart(Part):
+    """What has been watched of the map's changes; ``amr-slam map diff`` lists them."""
+
+    new: Count
+    """Things that stand where the map has free floor,"""
+    gone: Count
+    """and things of the map that are not there any more."""
+    oldest_since: Seconds | None = None
+    """UTC seconds when the oldest of them was first seen; null without any."""
+
+
 class CandidatePart(Part):
     """One of the places where the robot may be."""
 
@@ -199,6 +210,8 @@ class StatusMessage(_Message):
     """The last times that wheels and scans disagreed, newest last."""
     refused_requests: Count = 0
     """Commands in other forms than ``cmd/*`` (ROS 2) that were not done: no reply tells of it."""
+    changes: ChangesPart | None = None
+    """Localization: how much has changed; null where nothing is watched."""
     shadow: ShadowPart | None = None
     """The camera system beside it; null where none is configured."""
 

@@ -10,6 +10,7 @@ from amr_slam.cli.arguments.values import (
     count,
     finite,
     mounting,
+    numbers,
     path_ending,
     point,
     poses,
@@ -52,7 +53,7 @@ def add_map(commands: Subparsers[Parser]) -> None:
     )
     align, report = _add_align(actions), _add_report(actions)
     _add_edit(actions)
-    for action in (info, render, export, align, report):
+    for action in (info, render, export, align, report, *_add_living(actions)):
         action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
 
 
@@ -108,8 +109,8 @@ def _add_report(actions: Subparsers[Parser]) -> Parser:
         "report",
         "what it is good for: coverage, accuracy, look-alikes, and what to do about them",
         "amr-slam map report hall.amrmap --config robot.toml --out hall.html",
-        "One HTML page that loads nothing from outside; print it for a PDF. The robot's search is run "
-        "at many simulated poses: some minutes for a large hall. docs/map-report.md.",
+        "One HTML page that loads nothing from outside; print it for a PDF. The robot's search is "
+        "run at many simulated poses: some minutes for a large hall. docs/map-report.md.",
     )
     add = report.add_argument
     add(
@@ -134,6 +135,65 @@ def _add_report(actions: Subparsers[Parser]) -> Parser:
     )
     add("--seed", metavar="N", type=count, default=0, help="of headings and noise (default 0)")
     return report
+
+
+def _add_living(actions: Subparsers[Parser]) -> tuple[Parser, ...]:
+    """What has changed, and what becomes of it."""
+    diff = add_command(
+        actions,
+        "diff",
+        "what has changed: as the robot has watched it, or against an older version",
+        "amr-slam map diff hall.amrmap --out hall-changes.png",
+        "A list: what is new or gone, where, since when, and how many passes in a row have shown "
+        "it. docs/living-maps.md.",
+    )
+    diff.add_argument("--json", action="store_true", help="as one JSON object")
+    diff.add_argument(
+        "--out", metavar="FILE", type=path_ending(".png", ".svg"), help="a picture of it"
+    )
+    accept = add_command(
+        actions,
+        "accept",
+        "take watched changes into the map, as a new version of it",
+        "amr-slam map accept hall.amrmap --only 1,3",
+        "The version before stays as MAP.1: 'map rollback' brings it back. The robot takes the new "
+        "one up by its command load_map, without losing its pose.",
+    )
+    which = accept.add_mutually_exclusive_group(required=True)
+    which.add_argument("--all", action="store_true", help="all that 'map diff' lists")
+    which.add_argument(
+        "--only", metavar="N,N,...", type=numbers, help="these, by their numbers in 'map diff'"
+    )
+    which.add_argument(
+        "--policy", metavar="FILE", type=Path, help="what this configuration's [map.accept] says"
+    )
+    accept.add_argument(
+        "--keep",
+        metavar="N",
+        type=count,
+        default=9,
+        help="older versions to keep beside it, 9 at most (default 9)",
+    )
+    rollback = add_command(
+        actions,
+        "rollback",
+        "an older version becomes the map again",
+        "amr-slam map rollback hall.amrmap",
+        "What it replaces becomes version 1: nothing is lost.",
+    )
+    rollback.add_argument(
+        "--to", metavar="N", type=count, default=1, help="version MAP.N (default 1, the newest)"
+    )
+    # MAP comes first; what to compare it with is added after it.
+    diff.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
+    diff.add_argument(
+        "against",
+        metavar="OLDER|CHANGES",
+        type=Path,
+        nargs="?",
+        help="an older map, or a file of changes (default: MAP.changes)",
+    )
+    return accept, rollback
 
 
 def _add_align(actions: Subparsers[Parser]) -> Parser:

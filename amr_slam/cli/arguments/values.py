@@ -39,6 +39,14 @@ def poses(text: str) -> int:
     return int(text)
 
 
+def numbers(text: str) -> tuple[int, ...]:
+    """Numbers from 1 to 9999, as 1,3,4."""
+    fields = text.split(",")
+    if not all(field.isdecimal() and len(field) <= 4 and int(field) > 0 for field in fields):
+        raise argparse.ArgumentTypeError(f"{text!r} is not numbers from 1 on, as 1,3,4")
+    return tuple(int(field) for field in fields)
+
+
 def days(text: str) -> int:
     """A number from 1 to 9999."""
     if not (text.isdecimal() and len(text) <= 4 and int(text) > 0):
