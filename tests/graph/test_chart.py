@@ -115,15 +115,15 @@ def test_the_map_and_what_is_anchored_follow() -> None:
 def test_what_grows_follows_what_is_finished_keeps_its_shape() -> None:
     rng = np.random.default_rng(0)
     poses = [Pose2(0.6 * n, 0.0, 0.0) for n in range(8)]
-    submaps = Submaps(PARAMS.map, length_m=3.0)
+    submaps = Submaps(replace(PARAMS, closing=replace(PARAMS.closing, submap_m=3.0)))
     for row, pose in enumerate(poses):
         cloud = cloud_at(lab(0), tour_poses(0)[row], rng, sigma_m=0.01, stamp_ns=row)
         submaps.insert(row, cloud, pose, [0.6 * n for n in range(row + 1)])
     (finished,) = submaps.finished
-    shape = [pose for _, pose in finished.map.path]
+    shape = list(finished.poses)
     moved = np.array([(Pose2(1.0, 2.0, 0.5) @ pose).as_array() for pose in poses])
     submaps.move(moved)
-    assert [pose for _, pose in finished.map.path] == shape
+    assert list(finished.poses) == shape
     assert finished.map_from_submap(moved).distance_to(Pose2(1.0, 2.0, 0.5)) < 1e-9
     for stamp_ns, pose in submaps.local.path:
         assert pose.distance_to(Pose2.from_array(moved[stamp_ns])) < 1e-9
