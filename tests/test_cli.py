@@ -34,6 +34,7 @@ from amr_slam.simulation import (
     plan_tour,
     take_scan,
 )
+from amr_slam.starting import Started
 from amr_slam.wire import DEFAULT_ENDPOINT
 
 CONFIG = """
@@ -461,7 +462,8 @@ def test_run_and_check_hand_over_to_the_service(
 ) -> None:
     seen: list[object] = []
 
-    def run(config_path: Path, record: Path | None) -> int:
+    def run(config_path: Path, record: Path | None, slam: Started) -> int:
+        assert slam.process.is_alive()  # began its imports before us
         seen.extend((config_path, record))
         return 130
 

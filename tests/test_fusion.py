@@ -6,12 +6,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from filterpy.kalman import ExtendedKalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amr_slam.fusion import Calibration, CalibrationParams, FilterParams, PoseFilter, error95_m
-from amr_slam.fusion.ekf import Ekf
-from amr_slam.fusion.trail import Trail
+from amr_slam.fusion.ekf import MEASURED, STATES, Ekf, residual, seen
+from amr_slam.fusion.trail import Composed, Trail
 from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.samples import Motion, Outcome, SlamPose, WheelSample
@@ -48,6 +49,52 @@ def driven(steps: int, params: FilterParams = PLAIN, pose: Pose2 | None = None) 
     for k in range(steps):
         assert fused.predict(arc(k * STEP_NS)) is Outcome.ACCEPTED
     return fused
+
+
+def with_derivatives(ekf: Ekf, x: Array, P: Array, motion: Composed) -> Array:
+    """The Jacobian of a prediction: by differences, and by what the wheels say of their own."""
+    F = np.empty((STATES, STATES))
+    for column, nudge in enumerate(1e-5 * np.eye(STATES)):
+        apart = ekf.predicted(x + nudge, P, motion)[0] - ekf.predicted(x - nudge, P, motion)[0]
+        F[:, column] = apart / 2e-5
+    turn_rad = x[2] + motion.delta.theta_rad
+    c, s = math.cos(turn_rad), math.sin(turn_rad)
+    F[:3, 3:7] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ motion.by_calibration
+    return F
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_prediction_and_update_are_filterpys(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    params = FilterParams()
+    ekf = Ekf(params)
+    sigmas = np.array([0.05, 0.05, 0.02, *0.3 * params.calibration.sigmas, 0.01, 0.01, 0.002])
+    x = np.array([3.0, 3.0, 0.5, *7 * [0.0]]) * rng.normal(0.0, 1.0, STATES) + sigmas
+    root = sigmas[:, None] * rng.normal(0.0, 0.3, (STATES, STATES))
+    P = root @ root.T
+    noise = rng.normal(0.0, 0.003, (3, 3))
+    motion = Composed(
+        delta=Pose2(*rng.normal(0.0, [0.5, 0.1, 0.3])),
+        noise=noise @ noise.T,
+        by_calibration=rng.normal(0.0, 0.5, (3, 4)),
+        travel_m=0.5,
+        turn_rad=0.3,
+    )
+    known = ExtendedKalmanFilter(dim_x=STATES, dim_z=3)
+    known.predict_x = lambda _: None
+    known.P, known.F = P, with_derivatives(ekf, x, P, motion)
+    known.Q = ekf.predicted(x, np.zeros((STATES, STATES)), motion)[1]
+    known.predict()
+    prior, P_prior = ekf.predicted(x, P, motion)
+    np.testing.assert_allclose(P_prior, known.P, atol=1e-9)
+
+    z = seen(prior) + rng.normal(0.0, SIGMA)
+    known.x, known.P = prior, P_prior
+    known.update(z, HJacobian=lambda _: MEASURED, Hx=seen, R=R, residual=residual)
+    known.x[2] = wrap_angle(float(known.x[2]))
+    after, P_after = ekf.updated(prior, P_prior, z, R)
+    np.testing.assert_allclose(after, known.x, atol=1e-9)
+    np.testing.assert_allclose(P_after, known.P, atol=1e-9)
 
 
 def pose_at(fused: PoseFilter, stamp_ns: int) -> Pose2:

@@ -24,7 +24,7 @@ def loaded_with(module: str) -> set[str]:
     code = f"import sys, {module}; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert module in loaded
+    assert set(module.split(", ")) <= loaded
     return loaded
 
 
@@ -46,3 +46,13 @@ def test_controllers_need_none_of_the_robots_libraries(module: str) -> None:
     loaded = loaded_with(module)
     assert "pydantic" in loaded
     assert not loaded & set(HEAVY)
+
+
+def test_the_slam_process_is_started_before_anything_heavy() -> None:
+    assert not loaded_with("amr_slam.cli, amr_slam.starting") & set(HEAVY)
+
+
+def test_a_daemons_start_loads_no_statistics() -> None:
+    loaded = loaded_with("amr_slam.service")
+    assert "scipy.spatial" in loaded
+    assert not loaded & {"scipy.stats", "scipy.optimize", "filterpy", "matplotlib.pyplot"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -41,6 +42,7 @@ from amr_slam.slam_process import (
     Switched,
     Unsaved,
 )
+from amr_slam.starting import started
 
 DEADLINE_S = 60.0
 
@@ -274,3 +276,18 @@ def test_poses_are_sought_in_the_map_that_is_active(tmp_path: Path) -> None:
         assert result.sought
         assert result.fix is not None, result.answer.reason
         assert result.fix.map_from_base.distance_to(truth) < 0.1
+
+
+def test_a_process_that_gets_no_job_ends_with_its_starter() -> None:
+    with started() as slam:
+        assert slam.process.is_alive()
+    assert slam.process.exitcode == -signal.SIGKILL
+    with pytest.raises(OSError, match="closed"):
+        slam.pipe.poll()
+
+
+def test_a_process_whose_starter_is_gone_ends_by_itself() -> None:
+    with started() as slam:
+        slam.pipe.close()
+        slam.process.join(60.0)
+        assert slam.process.exitcode == 0

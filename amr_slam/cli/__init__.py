@@ -14,6 +14,7 @@ from collections.abc import Sequence
 
 from amr_slam.cli import logs
 from amr_slam.cli.arguments import MODULES, join_negative_values, make_parser
+from amr_slam.starting import started
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -23,6 +24,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     logs.set_up()
     try:
+        if arguments.command == "run":
+            # The two processes import side by side.
+            with started() as arguments.slam:
+                return _run(arguments)
         return _run(arguments)
     except KeyboardInterrupt:
         return 130

@@ -1,7 +1,6 @@
-"""filterpy's extended Kalman filter with the planar body's motion and angles put right.
+"""The extended Kalman filter: motion of a planar body, update in Joseph's form, angles wrapped.
 
-The only file that imports filterpy. Its ``predict_update`` is not used: it takes the Jacobian
-before the prediction and knows no residual.
+Why it is not filterpy's, which the tests compare it with: docs/adr/0036-an-own-kalman-filter.md.
 
 State (10,): x, y, theta of the base in the map frame; travel, yaw, bend and lag of the wheels
 (:class:`amr_slam.fusion.values.Calibration`); x, y, theta of the map's own error where the robot
@@ -14,7 +13,6 @@ import math
 from typing import Final
 
 import numpy as np
-from filterpy.kalman import ExtendedKalmanFilter
 
 from amr_slam.fusion.covariance import symmetric
 from amr_slam.fusion.trail import Composed
@@ -30,13 +28,10 @@ MEASURED: Final = readonly(np.hstack([np.eye(3), np.zeros((3, 4)), np.eye(3)]))
 """(3, 10): what a fix sees of the state."""
 
 
-class Ekf(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
-    """filterpy's filter with the motion of a planar body as its input."""
+class Ekf:
+    """Functions of a state that is given: nothing is remembered but the parameters."""
 
     def __init__(self, params: FilterParams) -> None:
-        super().__init__(dim_x=STATES, dim_z=3)
-        # filterpy's own x of (n, 1) makes (n, n) of a flat measurement.
-        self.x: Array = np.zeros(STATES)
         self._sigmas = params.calibration.sigmas
         self._limits = params.calibration.limits
         self._memory_m = params.calibration.memory_m
@@ -64,37 +59,35 @@ class Ekf(ExtendedKalmanFilter):  # type: ignore[misc]  # filterpy has no types
             P[POSE, MAP_ERROR] = P[MAP_ERROR, POSE] = -self.map_error
         return x, P
 
-    def predict_x(self, u: Composed) -> None:
-        """x after a motion; F and Q are the Jacobian there and the noise."""
-        end = Pose2.from_array(self.x[POSE]) @ u.delta
-        way_m = u.travel_m + u.turn_rad
+    def predicted(self, x: Array, P: Array, motion: Composed) -> tuple[Array, Array]:
+        """x (10,) and P (10, 10) after a motion; the arguments stay as they are."""
+        end = Pose2.from_array(x[POSE]) @ motion.delta
+        way_m = motion.travel_m + motion.turn_rad
         kept = math.exp(-way_m / self._range_m)
         c, s = math.cos(end.theta_rad), math.sin(end.theta_rad)
         map_from_body = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         F, Q = np.eye(STATES), np.zeros((STATES, STATES))
-        F[0, 2], F[1, 2] = self.x[1] - end.y_m, end.x_m - self.x[0]
-        F[POSE, CALIBRATION] = map_from_body @ u.by_calibration
+        F[0, 2], F[1, 2] = x[1] - end.y_m, end.x_m - x[0]
+        F[POSE, CALIBRATION] = map_from_body @ motion.by_calibration
         F[MAP_ERROR, MAP_ERROR] *= kept
-        Q[POSE, POSE] = map_from_body @ u.noise @ map_from_body.T
+        Q[POSE, POSE] = map_from_body @ motion.noise @ map_from_body.T
         Q[CALIBRATION, CALIBRATION] = np.diag(self._sigmas**2 * (way_m / self._memory_m))
         Q[MAP_ERROR, MAP_ERROR] = (1.0 - kept**2) * self.map_error
-        self.x = np.concatenate([end.as_array(), self.x[CALIBRATION], kept * self.x[MAP_ERROR]])
-        self.F, self.Q = F, Q
-
-    def predicted(self, x: Array, P: Array, motion: Composed) -> tuple[Array, Array]:
-        """x (10,) and P (10, 10) after a motion; the arguments stay as they are."""
-        self.x, self.P = x, P
-        self.predict(motion)
-        return self.x, self._capped(symmetric(self.P))
+        after = np.concatenate([end.as_array(), x[CALIBRATION], kept * x[MAP_ERROR]])
+        return after, self._capped(symmetric(F @ P @ F.T + Q))
 
     def updated(self, x: Array, P: Array, z: Array, R: Array) -> tuple[Array, Array]:
-        """x (10,) and P (10, 10) after a measured pose z (3,) of covariance R (3, 3)."""
-        self.x, self.P = x, P
-        self.update(z, HJacobian=lambda _: MEASURED, Hx=seen, R=R, residual=residual)
-        after = np.array(self.x)
+        """x (10,) and P (10, 10) after a measured pose z (3,) of covariance R (3, 3).
+
+        Raises LinAlgError where the innovation's covariance cannot be inverted.
+        """
+        S = MEASURED @ P @ MEASURED.T + R
+        K = np.linalg.solve(S, MEASURED @ P).T
+        after = x + K @ residual(z, seen(x))
         after[2] = wrap_angle(float(after[2]))
         after[CALIBRATION] = np.clip(after[CALIBRATION], -self._limits, self._limits)
-        return after, symmetric(self.P)
+        kept = np.eye(STATES) - K @ MEASURED
+        return after, symmetric(kept @ P @ kept.T + K @ R @ K.T)
 
     def _capped(self, P: Array) -> Array:
         """Nothing learned is less certain than what was believed before."""

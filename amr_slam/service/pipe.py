@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
 from amr_slam.engine import SlamRequest, SlamResult
-from amr_slam.slam_process import Ready, Refused, Saved, Stop, Task, TaskAnswer, Unsaved
+from amr_slam.slam_process import Ready, Refused, Saved, SlamJob, Stop, Task, TaskAnswer, Unsaved
 
-Outgoing = SlamRequest | Task | Unsaved | Stop | None
+Outgoing = SlamJob | SlamRequest | Task | Unsaved | Stop | None
 """None ends the sending thread."""
 Sent = Ready | Refused | Saved | SlamResult | TaskAnswer
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 import logging
-import multiprocessing
 import queue
 import signal
 import threading
@@ -17,12 +16,10 @@ import uuid
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from multiprocessing import resource_tracker
-from multiprocessing.context import SpawnProcess
 from pathlib import Path
 from typing import Final
 
-from amr_slam import slam_process
+from amr_slam import starting
 from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.living import ChangeCounts
 from amr_slam.samples import Health, Link
@@ -43,6 +40,7 @@ from amr_slam.slam_process import (
     TaskAnswer,
     Unsaved,
 )
+from amr_slam.starting import Started
 
 _log = logging.getLogger(__name__)
 
@@ -80,8 +78,13 @@ class SlamWorker:
     """The present process and what is known of it. All methods are for the loop's thread."""
 
     def __init__(
-        self, job: SlamJob, sink: Callable[[FromWorker], object], answer_limit_s: float
+        self,
+        job: SlamJob,
+        sink: Callable[[FromWorker], object],
+        answer_limit_s: float,
+        slam: Started | None = None,
     ) -> None:
+        """``slam``: the first process, where it was started already."""
         self._job = job
         self._sink = sink
         self._answer_limit_ns = round(1e9 * answer_limit_s)
@@ -111,7 +114,7 @@ class SlamWorker:
         self._asked: SlamRequest | None = None
         # What a new process needs beside the file on disk to go on as if nothing had happened.
         self._unsaved: deque[Joined] = deque(maxlen=_MOST_UNSAVED)
-        self._spawn()
+        self._spawn(slam)
 
     # -- for the loop ----------------------------------------------------------------------
 
@@ -233,36 +236,22 @@ class SlamWorker:
 
     # -- what happened to it ---------------------------------------------------------------
 
-    def _spawn(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        ours, theirs = context.Pipe()
+    def _spawn(self, slam: Started | None = None) -> None:
+        slam = starting.start() if slam is None else slam
+        self._process, pipe = slam.process, slam.pipe
         self._generation = next(self._generations)
         self._ready = False
         self._killed_for = None
         self._rate_hz = 0.0
         self._deadline_ns = time.monotonic_ns() + _START_LIMIT_NS
         self._outbox: queue.SimpleQueue[Outgoing] = queue.SimpleQueue()
-        self._process: SpawnProcess = context.Process(
-            target=slam_process.serve, args=(theirs, self._job), name="slam", daemon=True
-        )
-        # The child inherits the mask and never lifts it: no instant in which Ctrl-C, or a SIGTERM
-        # to the whole group, could take the map with it. The tracker that multiprocessing starts
-        # with its first child would lift it too early, so it is started before; SIGUSR1, which
-        # means the daemon alone, is kept from both.
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
-        try:
-            resource_tracker.ensure_running()
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
-            self._process.start()
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        self._outbox.put(self._job)
         if self._unsaved:
             self._outbox.put(Unsaved(scans=tuple(self._unsaved)))
-        theirs.close()  # with the last copy in the child, its end is the pipe's end
         # Daemons: a process that hangs must not keep the program from ending.
-        threading.Thread(target=send, args=(ours, self._outbox), daemon=True).start()
+        threading.Thread(target=send, args=(pipe, self._outbox), daemon=True).start()
         self._receiver = threading.Thread(
-            target=receive, args=(ours, self._sink, self._generation), daemon=True
+            target=receive, args=(pipe, self._sink, self._generation), daemon=True
         )
         self._receiver.start()
 

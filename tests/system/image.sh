@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The machine of the system tests: image.sh OUT WHEEL WHEELHOUSE MAP makes
-# OUT/{vmlinuz,initrd.gz,root.ext4,state.ext4}.
+# OUT/{vmlinuz,initrd.gz,root.ext4,state.ext4}; the robot's drive is OUT/drive.bin.
 #
 # A small Debian with its real kernel and systemd, and AMR-SLAM installed in it by tools/install.py
 # as the documentation says. What Debian ships is cached in OUT/base; remove OUT to begin anew.
@@ -68,14 +68,14 @@ system() {  # the base with modules, without what only costs time, and with the 
   chmod 700 "$root/var/lib/private"
   echo 'LABEL=state /var/lib/private/amr-slam ext4 defaults 0 2' >"$root/etc/fstab"
   cp "$here"/guest/*.py "$root/opt/system-test/"
-  cp "$repo/tools/emulate.py" "$root/opt/system-test/"
+  cp "$out/drive.bin" "$root/opt/system-test/"
   cp -r "$here/guest/etc" "$root/"
   chroot "$root" systemctl --quiet enable agent.service systemd-networkd.service
   chroot "$root" systemctl --quiet set-default multi-user.target
 }
 
 product() {  # as docs/install.md says, without network; the machine code for any processor
-  local root=$out/root sources=$out/root/opt/system-test/sources package
+  local root=$out/root sources=$out/root/opt/system-test/sources package python
   mkdir -p "$sources/tools" "$root/tmp/house"
   cp -r "$repo/amr_slam" "$repo/requirements.lock" "$wheel" "$sources/"
   cp "$repo/tools/install.py" "$sources/tools/"
@@ -86,12 +86,15 @@ product() {  # as docs/install.md says, without network; the machine code for an
   rm -rf "$root/tmp/house"
   # An image has whole seconds only, and compiled loops remember to the nanosecond when their source
   # was written: so they are compiled once the sources have whole seconds.
-  package=$(chroot "$root" /opt/amr-slam/bin/python -Ic \
+  # They are known by their folder's name, so Python is called as the service calls it: by the
+  # folder of the version, not by the link.
+  python=$(chroot "$root" readlink -f /opt/amr-slam)/bin/python
+  package=$(chroot "$root" "$python" -Ic \
     'import amr_slam, pathlib; print(pathlib.Path(amr_slam.__file__).parent)')
   find "$root$package" -name '*.py' -exec touch -d @1700000000 {} +
-  chroot "$root" /opt/amr-slam/bin/python -I -m compileall -q "$package"
+  chroot "$root" "$python" -I -m compileall -q "$package"
   chroot "$root" env -i NUMBA_CPU_NAME=generic NUMBA_CACHE_DIR=/var/cache/private/amr-slam \
-    /opt/amr-slam/bin/python -I -m amr_slam.warming
+    "$python" -I -m amr_slam.warming
 }
 
 initrd() {

@@ -1,0 +1,66 @@
+"""The SLAM process's first moments. Imports next to nothing, so that a program can start it before
+its own imports: both then do theirs side by side.
+
+The process inherits blocked signals and never lifts that: no instant in which Ctrl-C, or a SIGTERM
+to the whole group, could take the map with it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Started:
+    """A process that waits for its SlamJob at the other end of the pipe."""
+
+    process: SpawnProcess
+    pipe: Connection
+
+
+def start() -> Started:
+    """A process whose pipe ends when it does."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    # A daemon: should it hang, the program ends all the same.
+    process = context.Process(target=_serve, args=(theirs,), name="slam", daemon=True)
+    # The tracker that multiprocessing starts with its first child would lift the mask too early, so
+    # it is started before; SIGUSR1, which means the parent alone, is kept from both.
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGUSR1})
+    try:
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    theirs.close()  # with the last copy in the child, its end is the pipe's end
+    return Started(process=process, pipe=ours)
+
+
+@contextmanager
+def started() -> Iterator[Started]:
+    """One that is gone at the end, whether anybody gave it a job or not."""
+    slam = start()
+    try:
+        yield slam
+    finally:
+        slam.process.kill()
+        slam.process.join()
+        slam.pipe.close()
+
+
+def _serve(pipe: Connection) -> None:
+    from amr_slam.slam_process import serve  # noqa: PLC0415  # takes a second, meanwhile the parent goes on
+
+    try:
+        job = pipe.recv()
+    except (EOFError, ConnectionError):
+        return  # the parent had nothing to do, or is gone
+    serve(pipe, job)
