@@ -9,7 +9,7 @@ from importlib.metadata import version
 from typing import Final
 
 from amr_slam.cli.arguments.base import Parser
-from amr_slam.cli.arguments.fleet import add_call, add_foxglove, add_keys, add_watch
+from amr_slam.cli.arguments.fleet import add_call, add_foxglove, add_keys, add_view, add_watch
 from amr_slam.cli.arguments.maps import add_map
 from amr_slam.cli.arguments.robots import add_daemon, add_doctor, add_localize, add_replay
 
@@ -23,6 +23,7 @@ MODULES: Final = {
     "watch": "amr_slam.cli.fleet",
     "foxglove": "amr_slam.cli.foxglove",
     "call": "amr_slam.cli.fleet",
+    "view": "amr_slam.cli.viewing",
     "keys": "amr_slam.cli.keys",
 }
 """Where a command is done: a module with ``run(arguments) -> status`` and ``FAILURES``, the
@@ -49,6 +50,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_map(commands)
     add_watch(commands)
     add_foxglove(commands)
+    add_view(commands)
     add_call(commands)
     add_keys(commands)
     return parser

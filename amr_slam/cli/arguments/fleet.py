@@ -45,6 +45,43 @@ def add_foxglove(commands: Subparsers[Parser]) -> None:
     live.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
 
 
+def add_view(commands: Subparsers[Parser]) -> None:
+    """``amr-slam view``."""
+    view = add_command(
+        commands,
+        "view",
+        "the robots on their map in a browser, until Ctrl-C",
+        "amr-slam view --connect tcp/192.168.1.20:7447",
+        "Pages are for looking, and for this computer. With --allow-commands and no --tokens, the "
+        "address that is printed has a token for commands in it, for this run.",
+    )
+    add_session(view)
+    view.add_argument("--port", type=port, default=8080, help="of the pages (default 8080)")
+    view.add_argument(
+        "--host",
+        metavar="ADDRESS",
+        default="127.0.0.1",
+        help="address of the pages (default: this computer only); others need --tokens and --cert",
+    )
+    view.add_argument(
+        "--allow-commands", action="store_true", help="pages with a token for it command robots"
+    )
+    view.add_argument(
+        "--tokens",
+        metavar="FILE",
+        type=Path,
+        help="lines 'look TOKEN' and 'command TOKEN': nobody looks without one",
+    )
+    view.add_argument("--cert", metavar="FILE", type=Path, help="certificate for TLS, PEM")
+    view.add_argument("--key", metavar="FILE", type=Path, help="its private key, PEM")
+    view.add_argument(
+        "--full-rate",
+        action="store_true",
+        help="listen to every pose: for robots that publish no fleet_pose",
+    )
+    view.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
+
+
 def add_call(commands: Subparsers[Parser]) -> None:
     """``amr-slam call``."""
     call = add_command(

@@ -47,6 +47,13 @@ def numbers(text: str) -> tuple[int, ...]:
     return tuple(int(field) for field in fields)
 
 
+def port(text: str) -> int:
+    """A TCP port; 0 for a free one."""
+    if not (text.isdecimal() and len(text) <= 5 and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
+    return int(text)
+
+
 def days(text: str) -> int:
     """A number from 1 to 9999."""
     if not (text.isdecimal() and len(text) <= 4 and int(text) > 0):

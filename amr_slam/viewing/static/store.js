@@ -1,0 +1,93 @@
+// What the page knows of the robots, and whether it still hears anything.
+
+import { History } from "./history.js";
+import { STATES } from "./states.js";
+
+const BLIND_MS = 1200; // twelve ticks: the server, or the way to it, has stopped
+
+export class Store {
+  constructor() {
+    this.robots = new Map();
+    this.history = new History(Object.keys(STATES));
+    this.selected = null;
+    this.map = null; // UUID of the map that is shown
+    this.link = { up: false, text: "connecting" };
+    this.open = false; // the WebSocket
+    this.right = "look";
+    this.allowCommands = false;
+    this.clock = 0; // server time less ours, s
+    this.heard = -Infinity; // performance.now() of the newest tick
+    this.past = null; // seconds before now that are looked at; null: live
+  }
+
+  now() {
+    return Date.now() / 1000 + this.clock;
+  }
+
+  get blind() {
+    return !this.open || performance.now() - this.heard > BLIND_MS;
+  }
+
+  hear(tick) {
+    this.heard = performance.now();
+    this.clock = tick.time_s - Date.now() / 1000;
+    this.link = tick.link;
+    for (const told of tick.robots) {
+      const robot = this.robot(told.robot);
+      Object.assign(robot, told, { heard: this.heard });
+    }
+    for (const status of tick.statuses) this.robot(status.robot).status = status;
+    for (const scan of tick.scans) this.robot(scan.robot).scan = { ...scan, heard: this.heard };
+    for (const robot of this.robots.values()) {
+      if (robot.pose) this.history.record(robot.robot, robot.state, robot.pose, tick.time_s);
+    }
+  }
+
+  robot(name) {
+    if (!this.robots.has(name)) {
+      this.robots.set(name, { robot: name, state: "absent", alive: false, pose: null, status: null });
+    }
+    return this.robots.get(name);
+  }
+
+  /** The state to show: what nobody has told for a second is not shown as if it were so. */
+  state(robot) {
+    return this.blind && robot.state !== "absent" ? "stale" : robot.state;
+  }
+
+  /** Seconds since the wheel sample in the newest pose. */
+  age(robot) {
+    return robot.pose ? robot.pose.age_s + (performance.now() - robot.heard) / 1000 : Infinity;
+  }
+
+  /** All robots as they are, or were at the instant that is looked at: {robot, state, pose}. */
+  shown() {
+    if (this.past === null) {
+      return [...this.robots.values()].map((robot) => ({
+        robot, name: robot.robot, state: this.state(robot), pose: robot.pose,
+      }));
+    }
+    const time = this.now() - this.past;
+    return [...this.robots.values()].map((robot) => ({
+      robot, name: robot.robot, pose: null, state: "absent",
+      ...this.history.at(robot.robot, time),
+    }));
+  }
+
+  /** Maps by the number of robots in them: [[uuid, name, version, names of robots], ...]. */
+  maps() {
+    const found = new Map();
+    for (const robot of this.robots.values()) {
+      const id = robot.pose?.map;
+      if (!id) continue;
+      if (!found.has(id)) found.set(id, { id, name: id.slice(0, 8), version: 0, robots: [] });
+      const map = found.get(id);
+      map.robots.push(robot);
+      if (robot.status?.map?.id === id) {
+        map.name = robot.status.map.name;
+        map.version = Math.max(map.version, robot.status.map.version);
+      }
+    }
+    return [...found.values()].sort((a, b) => b.robots.length - a.robots.length || (a.name < b.name ? -1 : 1));
+  }
+}
