@@ -14,7 +14,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page
 
-from amr_slam.studies.browsing import browser, read, view_process
+from amr_slam.studies.browsing import browser, read, view_process, wait_for
 from amr_slam.studies.fleet.processes import program
 
 PICTURES: dict[str, dict[str, Any]] = {
@@ -37,7 +37,7 @@ def main() -> int:
     arguments = parser.parse_args()
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    scene = ["--scene", "--count", "7", "--area", "900", "--seed", "5"]
+    scene = ["--scene", "--count", "7", "--area", "500", "--seed", "5"]
     with (
         tempfile.TemporaryDirectory() as folder,
         program("router", endpoint),
@@ -61,7 +61,7 @@ def main() -> int:
 def _open(opened: Browser, address: str, options: dict[str, Any]) -> Page:
     page = opened.new_context(**options).new_page()
     page.goto(address)
-    page.wait_for_function("window.amrSlam && window.amrSlam.layer.map")
+    wait_for(page, "v.layer.map")
     return page
 
 

@@ -6,13 +6,14 @@ import selectors
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-_READY_S: Final = 30.0
+_READY_S: Final = 120.0  # processors may be busy
 _NAMES: Final = ("chromium", "chromium-browser", "google-chrome")
 
 
@@ -66,3 +67,13 @@ def view_process(endpoint: str, arguments: Sequence[str] = ()) -> Iterator[str]:
 def read(page: Page, expression: str) -> Any:
     """A value of the page's own state: ``v`` is what it lets be read (``main.js``)."""
     return page.evaluate(f"() => {{ const v = window.amrSlam; return {expression}; }}")
+
+
+def wait_for(page: Page, expression: str, timeout_s: float = 120.0) -> None:
+    """Until an expression of :func:`read` holds. (Playwright's own way of waiting evaluates text,
+    which the page's policy forbids.) Raises TimeoutError."""
+    deadline_s = time.monotonic() + timeout_s
+    while not read(page, f"window.amrSlam && ({expression})"):
+        if time.monotonic() > deadline_s:
+            raise TimeoutError(f"not within {timeout_s:g} s: {expression}")
+        page.wait_for_timeout(50.0)

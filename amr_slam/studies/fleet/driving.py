@@ -47,7 +47,7 @@ from amr_slam.wire import (
 )
 
 _WELL: Final = HealthPart(link="OK", age_s=0.04, rate_hz=12.5, samples=1000, errors=0)
-_MAP_EVERY_M: Final = 1.5
+_MAP_EVERY_M: Final = 2.5
 _SCAN_POINTS: Final = 360
 _SCANS_EVERY_S: Final = 0.5
 _LABORATORY_M2: Final = 250.0

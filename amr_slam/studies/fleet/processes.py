@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-_PATIENCE_S: Final = 60.0
+_PATIENCE_S: Final = 120.0
 _BUSY: Final = "while True: pass"
 
 
