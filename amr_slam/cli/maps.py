@@ -7,6 +7,7 @@ import json
 import math
 import sys
 import uuid
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.commissioning.making import NothingToReport
 from amr_slam.config import ConfigError
-from amr_slam.map import LayerError, MapError, PointMap, load_map
+from amr_slam.map import LayerError, MapError, PointMap, load_map, save_map
 from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
 from amr_slam.map.file import VERSION
 from amr_slam.map.provenance import to_header
@@ -51,6 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
         return living.run(arguments)
     if arguments.action != "info":
         check_outputs(arguments.out, source=arguments.map)
+    if arguments.action == "import":
+        _import(arguments)
+        return 0
     known, map_id = load_map(arguments.map)
     if arguments.action == "info":
         _info(arguments, known, map_id)
@@ -59,6 +63,17 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         _export(arguments, known)
     return 0
+
+
+def _import(arguments: argparse.Namespace) -> None:
+    from amr_slam.map.importing import import_map  # noqa: PLC0415 - Pillow, for this alone
+
+    known = import_map(arguments.map, arguments.name or arguments.out.stem)
+    map_id = save_map(known, arguments.out)
+    sys.stdout.write(
+        f"{arguments.out}: {len(known)} wall points, {known.area_m2():.1f} m2 of floor, "
+        f"walls known to {known.error_m:g} m; map {map_id}\n"
+    )
 
 
 def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> None:
@@ -73,6 +88,8 @@ def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> 
         "area_m2": round(known.area_m2(), 3),
         "bounds_m": [round(bound, 3) for bound in (x_min, y_min, x_max, y_max)],
     }
+    if known.imported is not None:
+        facts["imported"] = asdict(known.imported)
     if known.layers:
         facts["layers"] = len(known.layers)
     if known.reframings:
@@ -83,6 +100,11 @@ def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> 
     facts["area_m2"] = f"{known.area_m2():.1f} (floor seen free)"
     facts["bounds_m"] = f"x {x_min:.2f} to {x_max:.2f}, y {y_min:.2f} to {y_max:.2f}"
     facts.pop("reframings", None)
+    if known.imported is not None:
+        facts["imported"] = (
+            f"from {known.imported.source}: cells of {known.imported.resolution_m:g} m, walls "
+            f"known to {known.imported.error_m:g} m"
+        )
     for name, value in facts.items():
         sys.stdout.write(f"{name:10}{value}\n")
     for one in known.reframings:

@@ -52,6 +52,17 @@ def add_map(commands: Subparsers[Parser]) -> None:
         help="what to write",
     )
     align, report = _add_align(actions), _add_report(actions)
+    bring = add_command(
+        actions,
+        "import",
+        "a map that another program made",
+        "amr-slam map import site.yaml --out site.amrmap",
+        "Reads what nav2's map server reads: a YAML file and its picture (PGM, PNG, ...). Walls "
+        "are known to half a cell, and poses in such a map never claim to be better.",
+    )
+    bring.add_argument("map", metavar="FILE.yaml", type=path_ending(".yaml", ".yml"))
+    bring.add_argument("--out", metavar="NEW.amrmap", type=path_ending(".amrmap"), required=True)
+    bring.add_argument("--name", help="the map's name (default: the file's)")
     _add_edit(actions)
     for action in (info, render, export, align, report, *_add_living(actions)):
         action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
