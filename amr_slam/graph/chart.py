@@ -14,6 +14,7 @@ from amr_slam.graph.posegraph import Edge, optimize, strains
 from amr_slam.graph.recalling import Recalling
 from amr_slam.graph.submaps import Submaps
 from amr_slam.map import PointMap
+from amr_slam.map.ties import MapTies
 from amr_slam.params import SlamParams
 
 _STEP: Final = np.diag([0.02**2, 0.02**2, 0.006**2])
@@ -45,6 +46,36 @@ class Chart:
         """(n, 3) map_from_base of all nodes, as well as is known now."""
         self.moved = False
         """Poses have changed since this was last set to False."""
+
+    @staticmethod
+    def restored(params: SlamParams, known: PointMap) -> Chart | None:
+        """The chart that a map was made with, its pieces made anew at the poses of now; None where
+        the map does not know how its scans are tied."""
+        ties = known.ties
+        steps = ties.ends[~ties.loops & (ties.ends == ties.starts + 1)]
+        if not len(steps) or len(np.unique(steps)) != len(known.path) - 1:
+            return None
+        chart = Chart(params)
+        chart.poses = np.array([pose.as_array() for _, pose in known.path])
+        away_m = np.hypot(*np.diff(chart.poses[:, :2], axis=0).T)
+        chart._ways_m = [0.0, *(float(way_m) for way_m in np.cumsum(away_m))]
+        chart._sought_m = chart._ways_m[-1]
+        chart._tie([_edge(ties, row) for row in range(len(ties))])
+        for row, (stamp_ns, pose) in enumerate(known.path):
+            if len(known.rays[row]):
+                cloud = known.rays[row].cloud(stamp_ns, known.noises_m[row])
+                chart._submaps.insert(row, cloud, pose, chart._ways_m)
+        return chart
+
+    def ties(self) -> MapTies:
+        """All steps and loops, for the map to keep."""
+        return MapTies(
+            starts=np.array([edge.start for edge in self.edges], dtype=np.int64),
+            ends=np.array([edge.end for edge in self.edges], dtype=np.int64),
+            deltas=np.array([edge.delta.as_array() for edge in self.edges]).reshape(-1, 3),
+            informations=np.array([edge.information for edge in self.edges]).reshape(-1, 3, 3),
+            loops=np.array([edge.loop for edge in self.edges], dtype=np.bool_),
+        )
 
     @property
     def local(self) -> PointMap:
@@ -102,6 +133,16 @@ class Chart:
             return None
         self._submaps.move(self.poses)
         return moved
+
+
+def _edge(ties: MapTies, row: int) -> Edge:
+    return Edge(
+        start=int(ties.starts[row]),
+        end=int(ties.ends[row]),
+        delta=Pose2.from_array(ties.deltas[row]),
+        information=ties.informations[row],
+        loop=bool(ties.loops[row]),
+    )
 
 
 def _step(row: int, before: Pose2, after: Pose2, covariance: Array) -> Edge:

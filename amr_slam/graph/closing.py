@@ -20,7 +20,7 @@ from amr_slam.geometry import Array, Pose2, inverse_matrix, turned
 from amr_slam.graph.drift import Drift
 from amr_slam.graph.posegraph import Edge
 from amr_slam.graph.submaps import Submap, Submaps
-from amr_slam.params import SlamParams
+from amr_slam.params import ClosingParams, SlamParams
 from amr_slam.registration import rdnm
 from amr_slam.slam import examine, shortlist
 
@@ -115,10 +115,11 @@ class Closing:
         best = answer.best
         if best is None or answer.verdict is not Verdict.ACCEPTED:
             return None
-        turn_rad = abs((expected.inverse() @ best.pose).theta_rad)
-        if best.known < rules.known or turn_rad > rules.turn_rad + rules.drift_radpm * reach_m:
+        off = expected.inverse() @ best.pose
+        turn_rad = rules.turn_rad + rules.drift_radpm * reach_m
+        if np.hypot(off.x_m, off.y_m) > reach_m or abs(off.theta_rad) > turn_rad:
             return None
-        if weak(best, rules.weak_m):
+        if best.known < rules.known or doubtful(best, rules):
             return None
         return Closure(
             row=row,
@@ -168,9 +169,13 @@ def agree(one: Pose2, other: Pose2, within_m: float, within_rad: float) -> bool:
     return bool(np.hypot(off.x_m, off.y_m) <= within_m and abs(off.theta_rad) <= within_rad)
 
 
-def weak(found: Hypothesis, most_m: float) -> bool:
-    """A corridor: along its worst direction the place is known no better than ``most_m``."""
-    return float(np.linalg.eigvalsh(found.alignment.information[:2, :2])[0]) < most_m**-2
+def doubtful(found: Hypothesis, rules: ClosingParams) -> bool:
+    """Whether walls are missing or too many, or the place is a corridor, where the position along
+    its worst direction is known too little."""
+    weakest = float(np.linalg.eigvalsh(found.alignment.information[:2, :2])[0])
+    return (
+        found.conflict > rules.conflict or found.passes > rules.passes or weakest < rules.weak_m**-2
+    )
 
 
 def loop_edge(row: int, submap: Submap, found: Hypothesis) -> Edge:

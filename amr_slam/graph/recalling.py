@@ -18,7 +18,7 @@ import numpy as np
 from amr_slam.clouds import Cloud
 from amr_slam.evidence import Hypothesis, Rung, apart, objection
 from amr_slam.geometry import Array, Pose2, wrap_angle
-from amr_slam.graph.closing import Closure, agree, loop_edge, weak
+from amr_slam.graph.closing import Closure, agree, doubtful, loop_edge
 from amr_slam.graph.drift import Drift
 from amr_slam.graph.posegraph import Edge
 from amr_slam.graph.submaps import Submap, Submaps
@@ -167,8 +167,7 @@ class Recalling:
             not self._is_far(drift, submap)
             or best.place.score - max(others, default=0.0) < bar.margin
             or objection(best.place, bar) is not None
-            or best.place.conflict > self._params.settled.conflict
-            or weak(best.place, rules.weak_m)
+            or doubtful(best.place, rules)
             or far_off
             or turned
         ):

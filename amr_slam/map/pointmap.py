@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import effective
+from amr_slam.map.carving import carved
 from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
 from amr_slam.map.layers import LayerKind, Layers
 from amr_slam.map.provenance import Imported, Reframing
-from amr_slam.map.rays import Rays, forget, pack
+from amr_slam.map.rays import Rays, forget, needs_room, pack
+from amr_slam.map.ties import no_ties
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
 from amr_slam.registration.field import Field, FieldParams
@@ -68,9 +70,9 @@ class PointMap:
     def __init__(self, params: MapParams, name: str = "map") -> None:
         self.params = params
         self.name = name
-        self.walls = SparseGrid(params.cell_m, _CHANNELS)
+        self._walls = SparseGrid(params.cell_m, _CHANNELS)
         # Scans that passed, scans that ended.
-        self.space = SparseGrid(params.free_cell_m, 2, counts=True)
+        self._space = SparseGrid(params.free_cell_m, 2, counts=True)
         self.path: list[tuple[int, Pose2]] = []
         """(stamp ns, map_from_base) of each scan that the map is made of."""
         self.noises_m: list[float] = []
@@ -83,6 +85,8 @@ class PointMap:
         """The picture that it began as, if another program made it."""
         self.layers = Layers()
         """What people have drawn over it. Changed by :meth:`edit` only."""
+        self.ties = no_ties()
+        """The pose graph of the path's scans, as far as one is known."""
         self._undrawn = 0  # the newest scans of the path that walls and space lack yet
         self.revision = 0
         """+1 with each insertion and edit: what is derived from the map holds for one revision."""
@@ -98,46 +102,55 @@ class PointMap:
     def __len__(self) -> int:
         return len(self.walls)
 
+    @property
+    def walls(self) -> SparseGrid:
+        """Sums over the points of each cell, of all scans."""
+        self._draw_appended()
+        return self._walls
+
+    @property
+    def space(self) -> SparseGrid:
+        """How many scans passed each cell, and how many ended in it."""
+        self._draw_appended()
+        return self._space
+
     # -- growing ---------------------------------------------------------------------------
 
     def insert(self, cloud: Cloud, map_from_base: Pose2) -> None:
         """Add one accepted scan at its pose."""
-        self.draw()
+        self._draw_appended()
         self._note(cloud, map_from_base)
         self._draw([(cloud, map_from_base)])
 
     def append(self, cloud: Cloud, map_from_base: Pose2) -> None:
-        """Add one accepted scan at its pose, to be drawn by the next :meth:`draw`: until then
-        the walls lack it. The cost does not depend on how large the map is."""
+        """Add one accepted scan at its pose, to be drawn when somebody asks for walls or space:
+        until then it costs the same however large the map is. Its rays are rounded."""
         self._note(cloud, map_from_base)
         self._undrawn += 1
         self.revision += 1
 
-    def draw(self) -> None:
-        """Draw the scans that were appended; as the rays say, which are rounded."""
-        while self._undrawn:
-            first = len(self.path) - self._undrawn
-            part = range(first, min(first + _BATCH, len(self.path)))
-            self._undrawn -= len(part)
-            told = [
-                (self.rays[row].cloud(self.path[row][0], self.noises_m[row]), self.path[row][1])
-                for row in part
-                if len(self.rays[row])
-            ]
-            if told:
-                self._draw(told)
+    def _draw_appended(self) -> None:
+        waiting, self._undrawn = self._undrawn, 0
+        for first in range(len(self.path) - waiting, len(self.path), _BATCH):
+            rows = range(first, min(first + _BATCH, len(self.path)))
+            self._draw(
+                [
+                    (self.rays[row].cloud(self.path[row][0], self.noises_m[row]), self.path[row][1])
+                    for row in rows
+                    if len(self.rays[row])
+                ]
+            )
 
     def rebuilt(self, poses: Sequence[Pose2]) -> PointMap:
         """A map of the same scans, each at its new pose: one for each scan of ``path``, in its
         order. What only a forgotten scan saw is not in it."""
         fresh = PointMap(self.params, self.name)
         fresh.reframings, fresh.imported = self.reframings, self.imported
-        fresh.layers = self.layers
+        fresh.layers, fresh.ties = self.layers, self.ties
         path = zip(self.path, poses, strict=True)
         fresh.path = [(stamp_ns, pose) for (stamp_ns, _), pose in path]
         fresh.noises_m, fresh.rays = list(self.noises_m), list(self.rays)
         fresh._undrawn = len(fresh.path)
-        fresh.draw()
         return fresh
 
     def edit(self, layers: Layers) -> None:
@@ -169,6 +182,8 @@ class PointMap:
 
     def _draw(self, scans: Sequence[tuple[Cloud, Pose2]]) -> None:
         """Count walls and space of scans at their poses."""
+        if not scans:
+            return
         placed = [(pose @ cloud.points_m, pose @ cloud.origins_m) for cloud, pose in scans]
         points, origins = (np.concatenate(part) for part in zip(*placed, strict=True))
         normals = np.concatenate([cloud.normals @ pose.rotation.T for cloud, pose in scans])
@@ -182,7 +197,8 @@ class PointMap:
                 np.maximum(high, points.max(axis=0)),
             )
         self._coarsen()
-        forget(self.rays, [pose for _, pose in self.path], self.area_m2())
+        if needs_room(self.rays):
+            forget(self.rays, [pose for _, pose in self.path], self.area_m2())
         self.revision += 1
 
     def _coarsen(self) -> None:
@@ -195,7 +211,7 @@ class PointMap:
             walls = SparseGrid(2.0 * cell_m, _CHANNELS)
             walls.add(walls.keys_of(self.walls.centres()), self.walls.sums)
             self.params = replace(self.params, cell_m=walls.cell_m)
-            self.walls, self._deconvolution = walls, None
+            self._walls, self._deconvolution = walls, None
         self.walls.sums = cast("Array", self.walls.sums.astype(np.float32, copy=False))
 
     def _carve(self, placed: Sequence[tuple[Array, Array]], sigmas_m: Sequence[float]) -> None:
@@ -206,15 +222,8 @@ class PointMap:
         keys: list[NDArray[np.int64]] = []
         counts: list[Array] = []
         for (points, origins), sigma_m in zip(placed, sigmas_m, strict=True):
-            ends = np.unique(self.space.keys_of(points))
             margin = self.params.ray_margin_m + 3.0 * sigma_m
-            reach = np.linalg.norm(points - origins, axis=1)
-            steps = np.arange(0.0, float(reach.max(initial=0.0)), 0.7 * self.space.cell_m)
-            along = steps[None, :] < (reach - margin)[:, None]
-            ray, step = np.nonzero(along)
-            direction = (points - origins) / np.maximum(reach, 1e-9)[:, None]
-            samples = origins[ray] + steps[step][:, None] * direction[ray]
-            passed = np.setdiff1d(np.unique(self.space.keys_of(samples)), ends, assume_unique=True)
+            passed, ends = carved(points, origins, margin, self.space)
             flags = np.zeros((len(passed) + len(ends), 2))
             flags[: len(passed), 0] = 1.0
             flags[len(passed) :, 1] = 1.0
