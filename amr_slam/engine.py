@@ -83,6 +83,7 @@ class SlamResult:
     """The scan became part of the map."""
     map_scans: int
     map_points: int
+    """Of what scans are registered in."""
     change: Change | None = None
     """Localization: the scan against the map at the answer's pose, or where nothing was accepted
     at the best one near the expected pose."""
@@ -104,20 +105,29 @@ class SlamResult:
 class SlamEngine:
     """Scan in, pose out; in mapping mode the map grows by each accepted scan."""
 
-    def __init__(self, params: SlamParams, grown: PointMap, mode: Mode) -> None:
+    def __init__(
+        self, params: SlamParams, grown: PointMap, mode: Mode, *, resumed: bool = False
+    ) -> None:
+        """``resumed``: mapping goes on where another engine left off, which has grown the map
+        and whose last scan was the newest in it."""
         self.params = params
         self.map = grown
         self.mode: Mode = mode
         self._last_inserted: Pose2 | None = None
         self._joined: tuple[Pose2, Array] | None = None
-        # A map that was loaded is held for true: its loops are closed.
-        self.chart = Chart(params) if mode == "mapping" and not len(grown) else None
+        self.chart: Chart | None = None
+        if mode == "mapping" and not len(grown):
+            self.chart = Chart(params)
+        elif mode == "mapping" and resumed:
+            self.chart = Chart.restored(params, grown)
+        # Any other map that was loaded is held for true: its loops are closed.
         self._inspector = Inspector(params)
 
     def update(self, request: SlamRequest) -> SlamResult:
         """Register one cloud. Never raises for what a scan contains."""
         cloud = request.cloud
-        if self.mode == "mapping" and not len(self.map) and request.map_from_base is not None:
+        empty = not self.map.path and not len(self.map)
+        if self.mode == "mapping" and empty and request.map_from_base is not None:
             return self._found(request)
         if request.region is not None and self.mode == "localization":
             return self._seek(request, request.region)
@@ -164,11 +174,14 @@ class SlamEngine:
         return pose if self.chart is None or row < 0 else self.chart.pose(row) @ pose
 
     def settle(self) -> None:
-        """Bring the scans in ``map`` to where loops have moved them: due before anybody else uses
-        the map. Costs about 2 ms a scan where a loop has been closed since the last time."""
+        """Bring ``map`` up to date, each scan to where loops have moved it: due before anybody
+        else uses the map. Whoever asks it next pays about 1 ms for each scan that joined since
+        the last time, or for every scan where a loop has been closed."""
         if self.chart is not None and self.chart.moved:
             self.map.move([Pose2.from_array(pose) for pose in self.chart.poses])
             self.chart.moved = False
+        if self.chart is not None:
+            self.map.ties = self.chart.ties()
 
     def _zone_around(self, cloud: Cloud, expected: Pose2) -> str | None:
         """The zone without landmarks that hides the scan, taken at the expected pose, or None."""
@@ -333,10 +346,12 @@ class SlamEngine:
     def join(self, cloud: Cloud, pose: Pose2, covariance: Array) -> Pose2 | None:
         """Let a scan become part of the map, as :attr:`SlamResult.joined_at` told of it. The same
         scans make the same map. What closing a loop has moved the newest pose by, if it has."""
-        self.map.insert(cloud, pose)
         self._last_inserted, self._joined = pose, (pose, covariance)
         if self.chart is None:
+            self.map.insert(cloud, pose)
             return None
+        # Nobody registers in the whole map meanwhile: it is drawn when somebody wants it.
+        self.map.append(cloud, pose)
         moved = self.chart.insert(cloud, pose, covariance)
         self._last_inserted = self.chart.newest
         return moved
@@ -369,7 +384,7 @@ class SlamEngine:
             joined_at=self._joined if inserted else None,
             map_error_m=self.map.error_m,
             map_scans=len(self.map.path),
-            map_points=len(self.map),
+            map_points=len(self.local),
         )
 
 

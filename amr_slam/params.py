@@ -58,6 +58,19 @@ class Plausibility:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DriftParams:
+    """How fast a way along registered scans goes astray, at the worst that real drives showed:
+    ``docs/adr/0033-loops-after-a-long-way.md``."""
+
+    heading_radpsqrtm: Annotated[float, Gt(0.0)] = 0.006
+    """Standard deviation of the heading after a metre; it grows with the root of the way."""
+    scale: Annotated[float, Ge(0.0), Le(1.0)] = 0.02
+    """Of the way: corridors have no marks, wheels measure them a little long or short."""
+    place_m: Annotated[float, Gt(0.0)] = 0.3
+    """And this much in any case."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ClosingParams:
     """Loops of a map that is made from nothing."""
 
@@ -72,13 +85,19 @@ class ClosingParams:
     drift: Annotated[float, Ge(0.0), Le(1.0)] = 0.05
     """and this share of the way since it was left, or since the last loop was closed,"""
     most_m: Annotated[float, Gt(0.0)] = 6.0
-    """but not more than this."""
+    """but not more than this: what may be farther off is recalled."""
+    beyond_m: Annotated[float, Gt(0.0)] = 2.5
+    """So far from the way of a submap's own scans a scan may be found in it."""
     turn_rad: Annotated[float, Gt(0.0)] = 0.15
     """So much it may be turned,"""
     drift_radpm: Annotated[float, Ge(0.0)] = 0.1
     """and this much more for each metre that it may be off."""
     known: Annotated[float, Ge(0.0), Le(1.0)] = 0.7
     """Least share of the scan that lies where the submap knows anything."""
+    conflict: Annotated[float, Ge(0.0), Le(1.0)] = 0.12
+    """Greatest share of it that stands where the submap saw free space,"""
+    passes: Annotated[float, Ge(0.0), Le(1.0)] = 0.2
+    """and of its beams that go through the submap's walls: places that look alike differ there."""
     weak_m: Annotated[float, Gt(0.0)] = 0.1
     """A place that is known no better than this (one standard deviation) along its worst direction
     is a corridor, and closes nothing."""
@@ -88,6 +107,24 @@ class ClosingParams:
     """and this;"""
     apart_m: tuple[float, float] = (0.4, 8.0)
     """the scans were taken between so much way apart."""
+    drift_model: DriftParams = field(default_factory=DriftParams)
+    """Where the robot may be after a long way:"""
+    beyond_d2: Annotated[float, Gt(0.0)] = 13.8
+    """squared Mahalanobis distance that chance exceeds once in a thousand times."""
+    recall_step_m: Annotated[float, Gt(0.0)] = 4.0
+    """A piece of the way is recalled each time that the robot has gone so far."""
+    piece_m: Annotated[float, Gt(0.0)] = 12.0
+    """Length of the piece."""
+    rival_way_m: Annotated[float, Gt(0.0)] = 40.0
+    """Places that were left so much way ago are places that the piece might be taken for."""
+    recall_candidates: Annotated[int, Ge(2), Le(500)] = 60
+    """Rough poses of the piece that are refined."""
+    recall_witnesses: Annotated[int, Ge(2), Le(20)] = 3
+    """So many pieces must say the same"""
+    recall_within_m: Annotated[float, Gt(0.0)] = 30.0
+    """within so much way"""
+    recall_agree: tuple[float, float] = (0.5, 0.06)
+    """to within this (m, rad)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -273,7 +273,9 @@ class _Server:
     def _adopt(self, job: SlamJob, loaded: LoadedMap | None) -> None:
         grown = PointMap(job.params.map, job.name) if loaded is None else loaded.map
         self._job, self._loaded = job, loaded
-        self._engine = SlamEngine(job.params, grown, job.mode)
+        # A process that was lost is no reason to give up the loops of its map.
+        resumed = job.saved_before and job.source == job.target
+        self._engine = SlamEngine(job.params, grown, job.mode, resumed=resumed)
         self.keeper = _Keeper(job, grown, self._engine.settle)
 
     def _store(self, task: Store) -> Stored:

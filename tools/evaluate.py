@@ -29,6 +29,7 @@ STUDIES: Final = {
     "bound": "bound",
     "peers": "peers",
     "calibration": "calibrating",
+    "large": "large",
 }
 NEEDS_LOGS: Final = frozenset({"real"})
 

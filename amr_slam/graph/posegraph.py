@@ -22,10 +22,15 @@ from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
 _ITERATIONS: Final = 20
 _SMALL: Final = 1e-6
 """A step below this (m, rad) ends the iteration."""
-_KERNELS_D2: Final = (16.27 * 4.0**5, 16.27 * 4.0**3, 16.27 * 4.0, 16.27)
-"""Squared Mahalanobis distance at which a loop edge has a quarter of its weight, one solution after
-the other: a true loop after a long way must pull before it can be told from a false one. In the end
-it is what chance exceeds once in a thousand times."""
+_KERNEL_D2: Final = 16.27
+"""Squared Mahalanobis distance at which a loop edge has a quarter of its weight in the end: what
+chance exceeds once in a thousand times."""
+_NARROWER: Final = 16.0
+_WIDEST: Final = 7
+"""Before that, one solution after the other under kernels this much wider each, and so often at
+most: a true loop after a long way must pull before it can be told from a false one."""
+_GAIN: Final = 1e-4
+"""Under these, a solution that gets better by a smaller share of its cost is good enough."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -46,18 +51,30 @@ class Edge:
         object.__setattr__(self, "information", readonly(self.information))
 
 
-def optimize(poses: Array, edges: Sequence[Edge]) -> Array:
+def optimize(poses: Array, edges: Sequence[Edge], newest: int | None = None) -> Array:
     """The poses (n, 3) that agree best with all edges, from ``poses``, of which the first one stays
-    where it is. Edges must tie each to it. Deterministic."""
+    where it is. Edges must tie each to it. Deterministic.
+
+    ``newest``: so many edges at the end are new to these poses; None: all are.
+    """
     stack = _Stack(edges, len(poses))
     found = np.array(poses, dtype=np.float64)
-    for kernel_d2 in _KERNELS_D2:
-        stack.kernel_d2 = kernel_d2
-        found = _descend(stack, found)
+    strain = stack.d2(found)[-newest if newest else None :]
+    ratio = float(strain.max(initial=0.0)) / _KERNEL_D2
+    wider = min(math.ceil(math.log(max(ratio, 1.0), _NARROWER)), _WIDEST)
+    for power in range(wider, -1, -1):
+        stack.kernel_d2 = _KERNEL_D2 * _NARROWER**power
+        found = _descend(stack, found, _GAIN if power else 0.0)
     return found
 
 
-def _descend(stack: _Stack, found: Array) -> Array:
+def strains(poses: Array, edges: Sequence[Edge]) -> Array:
+    """(m,) squared Mahalanobis distance between what each edge says and where the poses (n, 3)
+    are."""
+    return _Stack(edges, len(poses)).d2(poses)
+
+
+def _descend(stack: _Stack, found: Array, gain: float) -> Array:
     damping, cost = 1e-6, stack.cost(found)
     for _ in range(_ITERATIONS):
         normal, gradient = stack.normal_equations(found)
@@ -70,8 +87,9 @@ def _descend(stack: _Stack, found: Array) -> Array:
         if tried_cost > cost:
             damping *= 10.0
             continue
+        enough = cost - tried_cost < gain * cost or np.abs(step).max(initial=0.0) < _SMALL
         found, cost, damping = tried, tried_cost, max(0.1 * damping, 1e-9)
-        if np.abs(step).max(initial=0.0) < _SMALL:
+        if enough:
             break
     return found
 
@@ -130,7 +148,8 @@ class _Stack:
         rows, columns, values = [], [], []
         for row, jacobian in sides:
             part = np.einsum("mki,mkl,ml->mi", jacobian, information, off)
-            np.add.at(gradient, (3 * row[:, None] + np.arange(3)).ravel(), part.ravel())
+            where = (3 * row[:, None] + np.arange(3)).ravel()
+            gradient += np.bincount(where, weights=part.ravel(), minlength=size)
             for column, other in sides:
                 block = np.einsum("mki,mkl,mlj->mij", jacobian, information, other)
                 rows.append(_spread(row, 1))

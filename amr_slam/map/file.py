@@ -25,6 +25,7 @@ from amr_slam.map import layers
 from amr_slam.map.pointmap import MapParams, PointMap
 from amr_slam.map.provenance import from_header, imported_from_header, to_header
 from amr_slam.map.rays import Rays, nothing
+from amr_slam.map.ties import MapTies
 
 MAGIC = b"AMRMAP\r\n"
 VERSION = 3
@@ -45,7 +46,7 @@ _ARRAYS_1 = {
     "path_poses": ("<f8", 3),
     "path_noises_m": ("<f8", 0),
 }
-_ARRAYS = _ARRAYS_1 | {
+_ARRAYS_2 = _ARRAYS_1 | {
     "wall_sums": ("<f8", 8),
     "ray_counts": ("<i8", 0),
     "ray_quanta_m": ("<f8", 0),
@@ -55,9 +56,17 @@ _ARRAYS = _ARRAYS_1 | {
     "ray_normals": ("<i2", 0),
     "ray_weights": ("<u1", 0),
 }
+_TIES = {
+    "tie_starts": ("<i8", 0),
+    "tie_ends": ("<i8", 0),
+    "tie_deltas": ("<f8", 3),
+    "tie_informations": ("<f8", 9),
+    "tie_loops": ("<u1", 0),
+}
+_ARRAYS = _ARRAYS_2 | _TIES
 # Walls are met at about 45 degrees: noise across them over noise along the beam.
 _TYPICAL_ACROSS = 0.7
-_LAYOUTS = {1: _ARRAYS_1, 2: _ARRAYS, VERSION: _ARRAYS}
+_LAYOUTS = {1: _ARRAYS_1, 2: _ARRAYS_2, VERSION: _ARRAYS}
 
 
 class MapError(Exception):
@@ -97,6 +106,11 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
         "ray_origins": np.concatenate([none.origins, *(rays.origins for rays in grown.rays)]),
         "ray_normals": np.concatenate([none.normals, *(rays.normals for rays in grown.rays)]),
         "ray_weights": np.concatenate([none.weights, *(rays.weights for rays in grown.rays)]),
+        "tie_starts": grown.ties.starts,
+        "tie_ends": grown.ties.ends,
+        "tie_deltas": grown.ties.deltas,
+        "tie_informations": grown.ties.informations.reshape(-1, 9),
+        "tie_loops": grown.ties.loops,
     }
     content = b"".join(
         np.ascontiguousarray(array, dtype=_ARRAYS[name][0]).tobytes()
@@ -217,6 +231,8 @@ def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, u
         offset += sizes[name]
     if header["version"] == 1:
         _upgrade(arrays)
+    if header["version"] < VERSION:
+        arrays |= {name: np.empty((0, columns)) for name, (_, columns) in _TIES.items()}
     grown = PointMap(_params(header["params"]), str(header["name"]))
     _fill(grown, arrays)
     grown.reframings = from_header(header.get("reframings", []))
@@ -274,6 +290,14 @@ def _fill(grown: PointMap, arrays: dict[str, NDArray[Any]]) -> None:
     ]
     grown.noises_m = [float(noise) for noise in arrays["path_noises_m"]]
     grown.rays = _rays(arrays)
+    grown.ties = MapTies(
+        starts=arrays["tie_starts"].ravel(),
+        ends=arrays["tie_ends"].ravel(),
+        deltas=arrays["tie_deltas"],
+        informations=arrays["tie_informations"],
+        loops=arrays["tie_loops"].ravel() != 0,
+    )
+    grown.ties.check(len(grown.path))
     grown.revision = 1
 
 

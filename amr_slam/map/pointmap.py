@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import effective
+from amr_slam.map.carving import carved
 from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
 from amr_slam.map.layers import LayerKind, Layers
 from amr_slam.map.provenance import Imported, Reframing
-from amr_slam.map.rays import Rays, forget, pack
+from amr_slam.map.rays import Rays, forget, needs_room, pack
+from amr_slam.map.ties import no_ties
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
 from amr_slam.registration.field import Field, FieldParams
@@ -51,6 +53,8 @@ _COARSER, _COARSER_SCANS = 2.8, 5
 # Sums over a cell's points: weight; by weight x, y, cos 2phi, sin 2phi of the normal, sight x, y;
 # number.
 _CHANNELS = 8
+# So many scans are drawn at a time: what is kept meanwhile stays small.
+_BATCH = 32
 _SIGHT_M = 25.0
 
 
@@ -65,9 +69,9 @@ class PointMap:
     def __init__(self, params: MapParams, name: str = "map") -> None:
         self.params = params
         self.name = name
-        self.walls = SparseGrid(params.cell_m, _CHANNELS)
+        self._walls = SparseGrid(params.cell_m, _CHANNELS)
         # Scans that passed, scans that ended.
-        self.space = SparseGrid(params.free_cell_m, 2, counts=True)
+        self._space = SparseGrid(params.free_cell_m, 2, counts=True)
         self.path: list[tuple[int, Pose2]] = []
         """(stamp ns, map_from_base) of each scan that the map is made of."""
         self.noises_m: list[float] = []
@@ -80,6 +84,9 @@ class PointMap:
         """The picture that it began as, if another program made it."""
         self.layers = Layers()
         """What people have drawn over it. Changed by :meth:`edit` only."""
+        self.ties = no_ties()
+        """The pose graph of the path's scans, as far as one is known."""
+        self._undrawn = 0  # the newest scans of the path that walls and space lack yet
         self.revision = 0
         """+1 with each insertion and edit: what is derived from the map holds for one revision."""
         self._deconvolution: Deconvolution | None = None
@@ -94,63 +101,55 @@ class PointMap:
     def __len__(self) -> int:
         return len(self.walls)
 
+    @property
+    def walls(self) -> SparseGrid:
+        """Sums over the points of each cell, of all scans."""
+        self._draw_appended()
+        return self._walls
+
+    @property
+    def space(self) -> SparseGrid:
+        """How many scans passed each cell, and how many ended in it."""
+        self._draw_appended()
+        return self._space
+
     # -- growing ---------------------------------------------------------------------------
 
     def insert(self, cloud: Cloud, map_from_base: Pose2) -> None:
         """Add one accepted scan at its pose."""
-        points = map_from_base @ cloud.points_m
-        origins = map_from_base @ cloud.origins_m
-        normals = cloud.normals @ map_from_base.rotation.T
-        known = cloud.has_normal
-        double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
-        sight = origins - points
-        sight = sight / np.maximum(np.linalg.norm(sight, axis=1, keepdims=True), 1e-9)
-        values = np.stack(
-            [
-                np.ones(len(points)),
-                points[:, 0],
-                points[:, 1],
-                np.where(known, np.cos(double), 0.0),
-                np.where(known, np.sin(double), 0.0),
-                sight[:, 0],
-                sight[:, 1],
-            ],
-            axis=1,
-        )
-        # A near look at a wall outweighs a far one: its place and direction are known better.
-        reach = np.linalg.norm(points - origins, axis=1)
-        values *= np.clip((_NEAR_M / np.maximum(reach, 1e-3)) ** 2, 0.02, 1.0)[:, None]
-        # ... but the noise of a point is the same at any distance.
-        values = np.hstack([values, np.ones((len(points), 1))])
-        self.walls.add(self.walls.keys_of(points), values)
-        self._carve(points, origins, cloud.sigma_m)
-        if len(points):
-            low, high = self._changed or (points.min(axis=0), points.max(axis=0))
-            self._changed = (
-                np.minimum(low, points.min(axis=0)),
-                np.maximum(high, points.max(axis=0)),
-            )
-        self.path.append((cloud.stamp_ns, map_from_base))
-        self.noises_m.append(cloud.sigma_m)
-        self.rays.append(pack(cloud))
-        self._coarsen()
-        forget(self.rays, [pose for _, pose in self.path], self.area_m2())
+        self._draw_appended()
+        self._note(cloud, map_from_base)
+        self._draw([(cloud, map_from_base)])
+
+    def append(self, cloud: Cloud, map_from_base: Pose2) -> None:
+        """Add one accepted scan at its pose, to be drawn when somebody asks for walls or space:
+        until then it costs the same however large the map is. Its rays are rounded."""
+        self._note(cloud, map_from_base)
+        self._undrawn += 1
         self.revision += 1
+
+    def _draw_appended(self) -> None:
+        waiting, self._undrawn = self._undrawn, 0
+        for first in range(len(self.path) - waiting, len(self.path), _BATCH):
+            rows = range(first, min(first + _BATCH, len(self.path)))
+            self._draw(
+                [
+                    (self.rays[row].cloud(self.path[row][0], self.noises_m[row]), self.path[row][1])
+                    for row in rows
+                    if len(self.rays[row])
+                ]
+            )
 
     def rebuilt(self, poses: Sequence[Pose2]) -> PointMap:
         """A map of the same scans, each at its new pose: one for each scan of ``path``, in its
         order. What only a forgotten scan saw is not in it."""
         fresh = PointMap(self.params, self.name)
         fresh.reframings, fresh.imported = self.reframings, self.imported
-        fresh.layers = self.layers
-        scans = zip(self.path, self.noises_m, self.rays, poses, strict=True)
-        for (stamp_ns, _), sigma_m, rays, pose in scans:
-            if len(rays):
-                fresh.insert(rays.cloud(stamp_ns, sigma_m), pose)
-            else:
-                fresh.path.append((stamp_ns, pose))
-                fresh.noises_m.append(sigma_m)
-                fresh.rays.append(rays)
+        fresh.layers, fresh.ties = self.layers, self.ties
+        path = zip(self.path, poses, strict=True)
+        fresh.path = [(stamp_ns, pose) for (stamp_ns, _), pose in path]
+        fresh.noises_m, fresh.rays = list(self.noises_m), list(self.rays)
+        fresh._undrawn = len(fresh.path)
         return fresh
 
     def edit(self, layers: Layers) -> None:
@@ -164,6 +163,32 @@ class PointMap:
         fresh.revision = self.revision + 1
         vars(self).update(vars(fresh))
 
+    def _note(self, cloud: Cloud, map_from_base: Pose2) -> None:
+        self.path.append((cloud.stamp_ns, map_from_base))
+        self.noises_m.append(cloud.sigma_m)
+        self.rays.append(pack(cloud))
+
+    def _draw(self, scans: Sequence[tuple[Cloud, Pose2]]) -> None:
+        """Count walls and space of scans at their poses."""
+        if not scans:
+            return
+        placed = [(pose @ cloud.points_m, pose @ cloud.origins_m) for cloud, pose in scans]
+        points, origins = (np.concatenate(part) for part in zip(*placed, strict=True))
+        normals = np.concatenate([cloud.normals @ pose.rotation.T for cloud, pose in scans])
+        known = np.concatenate([cloud.has_normal for cloud, _ in scans])
+        self.walls.add(self.walls.keys_of(points), _wall_values(points, origins, normals, known))
+        self._carve(placed, [cloud.sigma_m for cloud, _ in scans])
+        if len(points):
+            low, high = self._changed or (points.min(axis=0), points.max(axis=0))
+            self._changed = (
+                np.minimum(low, points.min(axis=0)),
+                np.maximum(high, points.max(axis=0)),
+            )
+        self._coarsen()
+        if needs_room(self.rays):
+            forget(self.rays, [pose for _, pose in self.path], self.area_m2())
+        self.revision += 1
+
     def _coarsen(self) -> None:
         """Keep the walls of noisy scans in half the digits, and in cells of twice the side where
         noise leaves nothing to be told apart in them."""
@@ -174,25 +199,25 @@ class PointMap:
             walls = SparseGrid(2.0 * cell_m, _CHANNELS)
             walls.add(walls.keys_of(self.walls.centres()), self.walls.sums)
             self.params = replace(self.params, cell_m=walls.cell_m)
-            self.walls, self._deconvolution = walls, None
+            self._walls, self._deconvolution = walls, None
         self.walls.sums = cast("Array", self.walls.sums.astype(np.float32, copy=False))
 
-    def _carve(self, points: Array, origins: Array, sigma_m: float) -> None:
-        """Count the cells that this scan's rays passed through, and those in which they ended."""
-        ends = np.unique(self.space.keys_of(points))
-        margin = self.params.ray_margin_m + 3.0 * sigma_m
-        reach = np.linalg.norm(points - origins, axis=1)
-        steps = np.arange(0.0, float(reach.max(initial=0.0)), 0.7 * self.space.cell_m)
-        along = steps[None, :] < (reach - margin)[:, None]
-        ray, step = np.nonzero(along)
-        direction = (points - origins) / np.maximum(reach, 1e-9)[:, None]
-        samples = origins[ray] + steps[step][:, None] * direction[ray]
-        passed = np.setdiff1d(np.unique(self.space.keys_of(samples)), ends, assume_unique=True)
-        keys = np.concatenate([passed, ends])
-        flags = np.zeros((len(keys), 2))
-        flags[: len(passed), 0] = 1.0
-        flags[len(passed) :, 1] = 1.0
-        self.space.add(keys, flags)
+    def _carve(self, placed: Sequence[tuple[Array, Array]], sigmas_m: Sequence[float]) -> None:
+        """Count the cells that each scan's rays passed through, and those in which they ended.
+
+        ``placed``: points and origins (n, 2) of each scan in the map's frame.
+        """
+        keys: list[NDArray[np.int64]] = []
+        counts: list[Array] = []
+        for (points, origins), sigma_m in zip(placed, sigmas_m, strict=True):
+            margin = self.params.ray_margin_m + 3.0 * sigma_m
+            passed, ends = carved(points, origins, margin, self.space)
+            flags = np.zeros((len(passed) + len(ends), 2))
+            flags[: len(passed), 0] = 1.0
+            flags[len(passed) :, 1] = 1.0
+            keys += [passed, ends]
+            counts.append(flags)
+        self.space.add(np.concatenate(keys), np.concatenate(counts))
 
     # -- asking ----------------------------------------------------------------------------
 
@@ -385,6 +410,30 @@ class PointMap:
             return 0.0, 0.0, 0.0, 0.0
         low, high = centres.min(axis=0), centres.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _wall_values(points: Array, origins: Array, normals: Array, known: NDArray[np.bool_]) -> Array:
+    """(n, channels) what each point adds to its wall cell."""
+    double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
+    sight = origins - points
+    reach = np.linalg.norm(sight, axis=1)
+    sight = sight / np.maximum(reach, 1e-9)[:, None]
+    values = np.stack(
+        [
+            np.ones(len(points)),
+            points[:, 0],
+            points[:, 1],
+            np.where(known, np.cos(double), 0.0),
+            np.where(known, np.sin(double), 0.0),
+            sight[:, 0],
+            sight[:, 1],
+        ],
+        axis=1,
+    )
+    # A near look at a wall outweighs a far one: its place and direction are known better.
+    values *= np.clip((_NEAR_M / np.maximum(reach, 1e-3)) ** 2, 0.02, 1.0)[:, None]
+    # ... but the noise of a point is the same at any distance.
+    return np.hstack([values, np.ones((len(points), 1))])
 
 
 def _near(points: Array | NDArray[np.float32], centre: Pose2, radius_m: float) -> NDArray[np.bool_]:

@@ -96,6 +96,11 @@ def nothing(across_m: float) -> Rays:
     )
 
 
+def needs_room(rays: Sequence[Rays]) -> bool:
+    """Whether these are more than are kept of any place."""
+    return BYTES_PER_RAY * sum(len(one) for one in rays) > _LEAST_BYTES
+
+
 def forget(rays: list[Rays], poses: Sequence[Pose2], area_m2: float) -> None:
     """Forget scans until the rays need no more than 5 MB for each 1000 m2 of ``area_m2``: each
     time the older one of the two that were taken nearest to each other."""

@@ -16,6 +16,7 @@ from amr_slam.graph.chart import Chart
 from amr_slam.graph.posegraph import Edge
 from amr_slam.graph.submaps import Submaps
 from amr_slam.map import PointMap
+from amr_slam.map.file import decode, encode
 from amr_slam.params import SlamParams
 from amr_slam.simulation import World, plan_tour
 from amr_slam.simulation.buildings import alike_rooms
@@ -28,9 +29,16 @@ DRIFT = Pose2(0.004, 0.0, math.radians(0.25))
 SLIGHT = Pose2(0.002, 0.0, math.radians(0.05))
 
 
-def charted(world: World, truth: Sequence[Pose2], drift: Pose2) -> tuple[Chart, list[int]]:
+# All that is farther than the way just driven is recalled by pieces.
+FAR = replace(PARAMS.closing, most_m=0.6, rival_way_m=12.0, recall_step_m=2.0, piece_m=6.0)
+RECALLING = replace(PARAMS, closing=FAR)
+
+
+def charted(
+    world: World, truth: Sequence[Pose2], drift: Pose2, params: SlamParams = PARAMS
+) -> tuple[Chart, list[int]]:
     """The chart of a drive whose every step is off by ``drift``; and at which nodes it moved."""
-    chart, rng, moved = Chart(PARAMS), np.random.default_rng(5), []
+    chart, rng, moved = Chart(params), np.random.default_rng(5), []
     for row, pose in enumerate(truth):
         cloud = cloud_at(world, pose, rng, sigma_m=0.01, stamp_ns=row)
         believed = truth[0]
@@ -72,8 +80,33 @@ def test_the_second_round_takes_the_drift_of_the_first_away() -> None:
     assert expected.distance_to(chart.newest) < 1e-6
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_rooms_that_look_alike_are_not_taken_for_one_another(seed: int) -> None:
+def test_a_piece_of_the_way_is_recalled_and_the_chart_outlives_its_process() -> None:
+    truth = [*tour_poses(0), *tour_poses(0)[:40]]
+    engine = SlamEngine(RECALLING, PointMap(PARAMS.map), "mapping")
+    engine.chart, _ = charted(lab(0), truth, SLIGHT, RECALLING)
+    loops = [edge for edge in engine.chart.edges if edge.loop]
+    assert len(loops) >= 3
+    assert false_loops(loops, truth) == []
+    # Saved and loaded, it is tied as before, and goes on.
+    rng = np.random.default_rng(5)
+    for row, pose in enumerate(engine.chart.poses):
+        cloud = cloud_at(lab(0), truth[row], rng, sigma_m=0.01, stamp_ns=row)
+        engine.map.append(cloud, Pose2.from_array(pose))
+    engine.settle()
+    loaded, _ = decode(encode(engine.map)[0])
+    again = SlamEngine(RECALLING, loaded, "mapping").chart
+    assert again is not None
+    np.testing.assert_allclose(again.poses, engine.chart.poses, atol=1e-12)
+    assert [(e.start, e.end, e.loop) for e in again.edges] == [
+        (e.start, e.end, e.loop) for e in engine.chart.edges
+    ]
+    assert len(again.local) > 100
+    again.insert(cloud, again.newest @ Pose2(0.3, 0.0, 0.0), STEP)
+    assert len(again.poses) == len(truth) + 1
+
+
+@pytest.mark.parametrize(("seed", "params"), [(0, PARAMS), (1, RECALLING)])
+def test_rooms_that_look_alike_are_not_taken_for_one_another(seed: int, params: SlamParams) -> None:
     world = alike_rooms(seed, 400.0)
     path = plan_tour(world).path_m
     ahead = np.roll(path, -4, axis=0) - path
@@ -81,7 +114,7 @@ def test_rooms_that_look_alike_are_not_taken_for_one_another(seed: int) -> None:
         Pose2(path[i, 0], path[i, 1], math.atan2(ahead[i, 1], ahead[i, 0]))
         for i in range(0, len(path), 20)
     ]
-    chart, _ = charted(world, truth, SLIGHT)
+    chart, _ = charted(world, truth, SLIGHT, params)
     assert false_loops(chart.edges, truth) == []
 
 
@@ -115,15 +148,15 @@ def test_the_map_and_what_is_anchored_follow() -> None:
 def test_what_grows_follows_what_is_finished_keeps_its_shape() -> None:
     rng = np.random.default_rng(0)
     poses = [Pose2(0.6 * n, 0.0, 0.0) for n in range(8)]
-    submaps = Submaps(PARAMS.map, length_m=3.0)
+    submaps = Submaps(replace(PARAMS, closing=replace(PARAMS.closing, submap_m=3.0)))
     for row, pose in enumerate(poses):
         cloud = cloud_at(lab(0), tour_poses(0)[row], rng, sigma_m=0.01, stamp_ns=row)
         submaps.insert(row, cloud, pose, [0.6 * n for n in range(row + 1)])
     (finished,) = submaps.finished
-    shape = [pose for _, pose in finished.map.path]
+    shape = list(finished.poses)
     moved = np.array([(Pose2(1.0, 2.0, 0.5) @ pose).as_array() for pose in poses])
     submaps.move(moved)
-    assert [pose for _, pose in finished.map.path] == shape
+    assert list(finished.poses) == shape
     assert finished.map_from_submap(moved).distance_to(Pose2(1.0, 2.0, 0.5)) < 1e-9
     for stamp_ns, pose in submaps.local.path:
         assert pose.distance_to(Pose2.from_array(moved[stamp_ns])) < 1e-9

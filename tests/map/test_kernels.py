@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amr_slam.map import kernels
+from amr_slam.map import carving, kernels
+from amr_slam.map.grid import SparseGrid
 from amr_slam.map.kernels import gaussian
 
 
@@ -27,6 +28,27 @@ def test_blurs_agree_and_keep_the_mass(sigma: float) -> None:
         row, column = np.indices(spot.shape)
         assert float(np.sum(blurred * column)) == pytest.approx(40.0, abs=0.02)
         assert float(np.sum(blurred * row)) == pytest.approx(30.0, abs=0.02)
+
+
+def test_the_cells_that_rays_pass_agree_and_leave_out_where_any_ended() -> None:
+    rng, grid = np.random.default_rng(3), SparseGrid(0.1, 2)
+    angles = np.linspace(-2.3, 2.3, 300)
+    origins = np.tile([3.33, -7.21], (300, 1))
+    ends = origins + rng.uniform(0.1, 9.0, (300, 1)) * np.column_stack(
+        [np.cos(angles), np.sin(angles)]
+    )
+    low = np.floor(np.concatenate([ends, origins]).min(axis=0) / 0.1) - 1.0
+    mine, twin = np.zeros((2, 200, 200), dtype=np.bool_)
+    carving._mark_loop(ends, origins, 0.2, 0.1, low, mine)
+    carving._mark_numpy(ends, origins, 0.2, 0.1, low, twin)
+    np.testing.assert_array_equal(mine, twin)
+    passed, ended = carving.carved(ends, origins, 0.2, grid)
+    assert not np.isin(ended, passed).any()
+    # On every ray that is long enough, the middle was passed, or another one ended there.
+    far = np.hypot(*(ends - origins).T) > 0.5
+    middles = grid.keys_of(0.5 * (ends + origins)[far])
+    assert np.mean(np.isin(middles, np.concatenate([passed, ended]))) > 0.85
+    assert len(passed) == len(np.unique(passed)) > 1000
 
 
 def test_climbs_agree_at_the_edges_and_outside_too() -> None:
