@@ -16,7 +16,12 @@ from amr_slam.aligning import AlignError
 from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.map import LayerError, MapError, PointMap, load_map, save_map
-from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
+from amr_slam.map.export import (
+    write_graph,
+    write_occupancy,
+    write_points_csv,
+    write_points_ply,
+)
 from amr_slam.map.file import VERSION
 from amr_slam.map.provenance import to_header
 from amr_slam.recording import RecordingError, Trajectory, write_tum
@@ -108,9 +113,10 @@ def _render(arguments: argparse.Namespace, known: PointMap) -> None:
     from amr_slam.pictures import draw_map  # noqa: PLC0415 - half a second, for pictures only
 
     path = np.array([pose.as_array()[:2] for _, pose in known.path]).reshape(-1, 2)
+    paths = [("path of the scans", path)] if len(path) else []
     title = f"{known.name}: {known.area_m2():.0f} m² of floor, {len(known.path)} scans"
     with writing(arguments.out) as out:
-        draw_map(known, [("path of the scans", path)], out, title)
+        draw_map(known, paths, out, title)
 
 
 def _export(arguments: argparse.Namespace, known: PointMap) -> None:
@@ -124,6 +130,9 @@ def _export(arguments: argparse.Namespace, known: PointMap) -> None:
                 said = f"{write_points_csv(known, out)} points"
             case ".ply":
                 said = f"{write_points_ply(known, out)} points"
+            case ".g2o":
+                poses, pairs = write_graph(known, out)
+                said = f"{poses} poses, {pairs} pairs"
             case _:
                 write_tum(out, _path(known))
                 said = f"{len(known.path)} poses"
