@@ -30,6 +30,7 @@ STUDIES: Final = {
     "peers": "peers",
     "calibration": "calibrating",
     "large": "large",
+    "exchanged": "exchanged",
 }
 NEEDS_LOGS: Final = frozenset({"real"})
 

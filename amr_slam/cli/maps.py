@@ -120,10 +120,12 @@ def _render(arguments: argparse.Namespace, known: PointMap) -> None:
 
 
 def _export(arguments: argparse.Namespace, known: PointMap) -> None:
+    if arguments.resolution is not None and arguments.out.suffix != ".pgm":
+        raise UsageError("--resolution is of the pixels of a .pgm")
     with writing(arguments.out) as out:
         match out.suffix:
             case ".pgm":
-                image, described = write_occupancy(known, out)
+                image, described = write_occupancy(known, out, arguments.resolution)
                 rows, columns = image.pixels.shape
                 said = f"{columns} x {rows} pixels of {image.resolution_m:g} m, and {described}"
             case ".csv":

@@ -105,13 +105,15 @@ def _spread(centres: Array, cell_m: float, pixel_m: float) -> Array:
     return spread
 
 
-def write_occupancy(grown: PointMap, path: Path) -> tuple[OccupancyImage, Path]:
+def write_occupancy(
+    grown: PointMap, path: Path, resolution_m: float | None = None
+) -> tuple[OccupancyImage, Path]:
     """``path`` (.pgm) and the YAML file beside it, as nav2's map server reads them.
 
     Returns the image and the YAML file's path. Raises MapError and OSError.
     Source: nav2_map_server, map_io.cpp: keys of the YAML file and the trinary mode.
     """
-    image = occupancy_image(grown)
+    image = occupancy_image(grown, resolution_m)
     rows, columns = image.pixels.shape
     path.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + image.pixels.tobytes())
     described = path.with_suffix(".yaml")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from amr_slam.cli.arguments.base import Parser, Subparsers, add_command
 from amr_slam.cli.arguments.values import (
+    cell,
     corner,
     count,
     finite,
@@ -49,6 +50,12 @@ def add_map(commands: Subparsers[Parser]) -> None:
         type=path_ending(".pgm", ".csv", ".ply", ".g2o", ".tum"),
         required=True,
         help="what to write",
+    )
+    export.add_argument(
+        "--resolution",
+        metavar="M",
+        type=cell,
+        help="side of a pixel of the .pgm (default: of a wall cell)",
     )
     bring = add_command(
         actions,
