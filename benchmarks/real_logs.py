@@ -1,8 +1,9 @@
 """Replay recordings of real robots at 0.5 Hz and compare with published references.
 
-Prints a Markdown table: positions in m as rms / median, relations (Kuemmerle et al.) as the mean of
-m and degrees, memory as the most that the command took. The logs are no part of the repository: they are looked for under
-``$AMR_SLAM_SHARED/data/logs``, by default beside the repository in ``../shared/data/logs``.
+Prints a Markdown table: positions in m as rms / median, relations (Kuemmerle et al.) as the mean
+of m and degrees, memory as the most that the command took. The logs are no part of the repository:
+they are looked for under ``$AMR_SLAM_SHARED/data/logs``, by default beside the repository in
+``../shared/data/logs``.
 
 Examples: python benchmarks/real_logs.py intel --keep out/logs
           python benchmarks/real_logs.py mit_killian --scan-period 0
@@ -75,7 +76,10 @@ def main() -> int:
         try:
             for name in arguments.logs:
                 run = replayed(
-                    LOGS / f"{name}.log.gz", folder, arguments.scan_period, arguments.no_loops
+                    LOGS / f"{name}.log.gz",
+                    folder,
+                    arguments.scan_period,
+                    loops=not arguments.no_loops,
                 )
                 for row in rows(name, run):
                     print(row, flush=True)
@@ -85,7 +89,7 @@ def main() -> int:
     return 0
 
 
-def replayed(log: Path, folder: Path, scan_period_s: float, no_loops: bool) -> Run:
+def replayed(log: Path, folder: Path, scan_period_s: float, *, loops: bool) -> Run:
     """Replay as the README tells everybody to. Raises what reading and the command raise."""
     wheels = [s for s in read_log(log).samples if isinstance(s, OdometrySample)]
     base = folder / log.name.split(".", 1)[0]
@@ -93,7 +97,7 @@ def replayed(log: Path, folder: Path, scan_period_s: float, no_loops: bool) -> R
     command = [
         *(sys.executable, "-m", "amr_slam", "replay", str(log)),
         *(["--scan-period", f"{scan_period_s:g}"] if scan_period_s > 0.0 else []),
-        *(["--no-loops"] if no_loops else []),
+        *([] if loops else ["--no-loops"]),
         *("--lidar", "0,0,0"),
         *("--out", str(online), "--out-final", str(final)),
         *("--map-out", str(base.with_suffix(".amrmap")), "--report", str(report)),
