@@ -61,21 +61,25 @@ class Robot:
         """Where the robot is: raises KeyError or TypeError where ``pose`` is no pose message."""
         return transforms(stamp_ns, self.map_frame, {self.base_frame: _pose(pose)})
 
-    def scene(self, stamp_ns: int, pose: Fields) -> Fields:
+    def scene(self, stamp_ns: int, pose: Fields, stale_s: float | None = None) -> Fields:
         """An arrow ahead, the 95 % ellipse of the position and a line of text, in the state's
-        colour. Raises KeyError, TypeError or ValueError where ``pose`` is no pose message."""
+        colour. ``stale_s``: so long there was no other pose, and this one is not to be trusted.
+
+        Raises KeyError, TypeError or ValueError where ``pose`` is no pose message.
+        """
         state = State(pose["state"])
-        here, colour = _pose(pose), _COLOURS[state]
+        here, colour = _pose(pose), _COLOURS[state if stale_s is None else State.LOST]
         ellipse = _ellipse(pose["covariance"], here, colour)
         error_m = float(pose["error95_m"])
         known = f"± {error_m:.2f} m" if error_m < _FARTHEST_M else "± ?"
+        says = f"{state} {known}" if stale_s is None else f"no pose for {stale_s:.0f} s"
         caption = {
             "pose": pose_fields(here, 0.6),
             "billboard": True,
             "font_size": 14.0,
             "scale_invariant": True,
             "color": _colour(colour, 1.0),
-            "text": f"{self.name}: {state} {known}",
+            "text": f"{self.name}: {says}",
         }
         drawn = [self._entity(stamp_ns, "robot", [_arrow(here, colour)], ellipse, [caption])]
         return {"deletions": [], "entities": drawn}

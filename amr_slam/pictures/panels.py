@@ -57,7 +57,7 @@ def map_panels(panels: Sequence[MapPanel], width_in: float) -> Figure:
         if panel.scan_m is not None:
             axes.plot(*panel.scan_m.T, ".", color=VERMILION, markersize=2.5, zorder=3.5,
                       label="the scan, as registered")  # fmt: skip
-            axes.plot(*panel.path_m[-1:].T, "X", color=VERMILION, markersize=8.0, zorder=3.6,
+            axes.plot(*panel.path_m[-1:].T, "X", color=VERMILION, markersize=7.0, zorder=3.6,
                       label="the robot")  # fmt: skip
         axes.set_title(panel.title, loc="left", fontsize=style.TITLE_PT)
         if number:

@@ -138,7 +138,7 @@ def legend_below(figure: Figure) -> None:
     handles, labels = figure.axes[-1].get_legend_handles_labels()
     figure.legend(
         handles, labels, loc="lower center", ncols=len(labels), frameon=False, fontsize=LEGEND_PT,
-        markerscale=2.0,
+        markerscale=1.6,
     )  # fmt: skip
 
 

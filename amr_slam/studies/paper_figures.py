@@ -84,7 +84,7 @@ def real(effort: Effort, log: Path) -> Section:
     )
     return Section(
         title="Figure 4: the map of a real robot, on the way",
-        text=_REAL.format(name=name, period=SCAN_PERIOD_S, scans=len(shown.path_m)),
+        text=_REAL.format(name=name, period=SCAN_PERIOD_S, scans=effort.trials(SCANS, least=10)),
         pictures=(
             Picture(
                 name="figure4",
@@ -140,15 +140,17 @@ of 541 beams in 2 s, and mapped from scratch: no map, no true pose, wheels that 
 percent. To every point of a scan comes Gaussian noise of sigma in x and in y, as in the paper. What
 to look for: where the paper's maps grow thick with the noise, these stay lines, because the map
 takes the noise out of its walls again ([why](adr/0008-walls-by-deconvolution.md)); where the
-paper's path staggers and has gaps at 0.3 m, this one has every scan in its place. What the noise
-does cost: short walls and the legs of tables go first, corners become round, and the error along
-the path grows as the table says. Walls are drawn as large as the cell that a point stands for."""
+paper's path staggers and has gaps at 0.3 m, this one stays smooth and whole, though a scan or two
+may stay out of the map, as the table says. What the noise does cost: small things go first (the
+legs of tables, the round posts), corners become round, walls have gaps where they were seen
+seldom, and the error along the path grows. Pale streaks beyond the walls are beams whose noise
+carried them there: seen floor is drawn as it was measured."""
 
 _REAL: Final = """\
 The recording `{name}` of a real robot, thinned to one scan in {period:g} s, mapped from nothing and
-stopped when scan {scans} had been registered. The paper shows its own laboratory, of which there is
-no public recording; this one has the same about it: a map that is not finished, in which most walls
-have been seen from one side only, with people and furniture in the way. The red dots are the new
-scan at the pose that registration gave it. Where they lie on blue, the scan says what the map says;
-where they go on beyond it, the robot sees something new, and there the map grows next. The pale
-ground is the floor that beams have passed over."""
+stopped when {scans} scans had been registered (while the robot stands, few go into the map). The
+paper shows its own laboratory, of which there is no public recording; this one is of an office
+building, and as in the paper the map is not finished and most of it was seen from one side only.
+The vermilion dots are the new scan at the pose that registration gave it. Where they lie on blue,
+the scan says what the map says; where they go on beyond it, the robot sees something new, and there
+the map grows next. The pale ground is the floor that beams have passed over."""

@@ -9,7 +9,7 @@ from importlib.metadata import version
 from typing import Final
 
 from amr_slam.cli.arguments.base import Parser
-from amr_slam.cli.arguments.fleet import add_call, add_keys, add_watch
+from amr_slam.cli.arguments.fleet import add_call, add_foxglove, add_keys, add_watch
 from amr_slam.cli.arguments.maps import add_map
 from amr_slam.cli.arguments.robots import add_daemon, add_doctor, add_localize, add_replay
 
@@ -21,6 +21,7 @@ MODULES: Final = {
     "localize": "amr_slam.cli.localizing",
     "map": "amr_slam.cli.maps",
     "watch": "amr_slam.cli.fleet",
+    "foxglove": "amr_slam.cli.foxglove",
     "call": "amr_slam.cli.fleet",
     "keys": "amr_slam.cli.keys",
 }
@@ -47,6 +48,7 @@ def make_parser() -> argparse.ArgumentParser:
     add_localize(commands)
     add_map(commands)
     add_watch(commands)
+    add_foxglove(commands)
     add_call(commands)
     add_keys(commands)
     return parser

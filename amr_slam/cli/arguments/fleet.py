@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from amr_slam.cli.arguments.base import Parser, Subparsers, add_command, add_session
-from amr_slam.cli.arguments.values import days, domain, seconds
+from amr_slam.cli.arguments.values import days, domain, port, seconds
 
 
 def add_watch(commands: Subparsers[Parser]) -> None:
@@ -28,6 +28,21 @@ def add_watch(commands: Subparsers[Parser]) -> None:
     watch.add_argument("--once", action="store_true", help="show what there is, and end")
     watch.add_argument("--json", action="store_true", help="lines of JSON: all that is known")
     watch.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
+
+
+def add_foxglove(commands: Subparsers[Parser]) -> None:
+    """``amr-slam foxglove``."""
+    live = add_command(
+        commands,
+        "foxglove",
+        "the robots on Zenoh, live in Foxglove on this computer, until Ctrl-C",
+        "amr-slam foxglove --connect tcp/192.168.1.20:7447 amr7",
+        "In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765. Only this computer "
+        "can connect, and only to look. Needs foxglove-sdk: the extra 'foxglove'.",
+    )
+    add_session(live)
+    live.add_argument("--port", type=port, default=8765, help="default 8765; 0: any free one")
+    live.add_argument("robots", metavar="ROBOT", nargs="*", help="only these (default: all)")
 
 
 def add_call(commands: Subparsers[Parser]) -> None:

@@ -47,6 +47,13 @@ def days(text: str) -> int:
     return int(text)
 
 
+def port(text: str) -> int:
+    """A TCP port, or 0."""
+    if not (text.isdecimal() and len(text) <= 5 and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port from 0 to 65535")
+    return int(text)
+
+
 def domain(text: str) -> int | None:
     """A ROS_DOMAIN_ID; None for off."""
     if text == "off":
