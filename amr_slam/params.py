@@ -75,6 +75,8 @@ class DriftParams:
 class ClosingParams:
     """Loops of a map that is made from nothing."""
 
+    enabled: bool = True
+    """False closes none: to see what they do."""
     submap_m: Annotated[float, Gt(1.0), Le(1000.0)] = 30.0
     """Way in m after which a piece of the map is finished."""
     step_m: Annotated[float, Gt(0.0)] = 1.0
@@ -97,7 +99,7 @@ class ClosingParams:
     """Least share of the scan that lies where the submap knows anything."""
     conflict: Annotated[float, Ge(0.0), Le(1.0)] = 0.12
     """Greatest share of it that stands where the submap saw free space,"""
-    passes: Annotated[float, Ge(0.0), Le(1.0)] = 0.2
+    passes: Annotated[float, Ge(0.0), Le(1.0)] = 0.3
     """and of its beams that go through the submap's walls: places that look alike differ there."""
     weak_m: Annotated[float, Gt(0.0)] = 0.1
     """A place that is known no better than this (one standard deviation) along its worst direction

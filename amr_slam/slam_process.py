@@ -362,7 +362,7 @@ class _Server:
 
     def _store(self, task: Store) -> Stored:
         grown = self._engine.map
-        if not grown.path:
+        if not len(grown):
             raise MapError("there is nothing in the map yet")
         if task.target is None or task.target == self._job.target:
             path, map_id = self.keeper.store()

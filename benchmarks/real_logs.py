@@ -1,9 +1,13 @@
 """Replay recordings of real robots at 0.5 Hz and compare with published references.
 
-Prints a Markdown table. The logs are no part of the repository: they are looked for under
-``$AMR_SLAM_SHARED/data/logs``, by default beside the repository in ``../shared/data/logs``.
+Prints a Markdown table: positions in m as rms / median, relations (Kuemmerle et al.) as the mean
+of m and degrees, memory as the most that the command took. The logs are no part of the repository:
+they are looked for under ``$AMR_SLAM_SHARED/data/logs``, by default beside the repository in
+``../shared/data/logs``.
 
-Example: python benchmarks/real_logs.py intel --keep out/logs
+Examples: python benchmarks/real_logs.py intel --keep out/logs
+          python benchmarks/real_logs.py mit_killian --scan-period 0
+          python benchmarks/real_logs.py intel --no-loops
 """
 
 from __future__ import annotations
@@ -22,8 +26,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from amr_slam.evaluation import TrajectoryError, absolute_trajectory_error
-from amr_slam.recording import RecordingError, Trajectory, read_log, read_tum
+from amr_slam.evaluation import TrajectoryError, absolute_trajectory_error, relations_error
+from amr_slam.recording import RecordingError, Trajectory, read_log, read_relations, read_tum
 from amr_slam.samples import OdometrySample
 
 REPO: Final = Path(__file__).resolve().parent.parent
@@ -35,7 +39,7 @@ MAX_GAP_S: Final = 2.0
 
 HEADER: Final = (
     "| log | duration s | scans | x real time | reference (stamps) | wheels alone | online | final "
-    "| refused | epochs |\n|---|--:|--:|--:|---|--:|--:|--:|--:|--:|"
+    "| relations | refused | epochs | MB |\n|---|--:|--:|--:|---|--:|--:|--:|--:|--:|--:|--:|"
 )
 
 
@@ -46,6 +50,8 @@ class Run:
     report: dict[str, Any]
     took_s: float
     """The whole command, from its start to its end."""
+    most_mb: float
+    """Memory."""
     wheels: Trajectory
     online: Trajectory
     final: Trajectory
@@ -57,6 +63,10 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("logs", nargs="*", default=README_LOGS, help="names without their endings")
+    parser.add_argument(
+        "--scan-period", type=float, default=SCAN_PERIOD_S, help="s between scans; 0 takes all"
+    )
+    parser.add_argument("--no-loops", action="store_true", help="close none, to compare")
     parser.add_argument("--keep", type=Path, help="folder for trajectories, maps and reports")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
@@ -65,7 +75,13 @@ def main() -> int:
         print(HEADER, flush=True)
         try:
             for name in arguments.logs:
-                for row in rows(name, replayed(LOGS / f"{name}.log.gz", folder)):
+                run = replayed(
+                    LOGS / f"{name}.log.gz",
+                    folder,
+                    arguments.scan_period,
+                    loops=not arguments.no_loops,
+                )
+                for row in rows(name, run):
                     print(row, flush=True)
         except (RecordingError, ValueError, OSError, subprocess.CalledProcessError) as error:
             print(f"real_logs: {error}", file=sys.stderr)
@@ -73,23 +89,29 @@ def main() -> int:
     return 0
 
 
-def replayed(log: Path, folder: Path) -> Run:
+def replayed(log: Path, folder: Path, scan_period_s: float, *, loops: bool) -> Run:
     """Replay as the README tells everybody to. Raises what reading and the command raise."""
     wheels = [s for s in read_log(log).samples if isinstance(s, OdometrySample)]
     base = folder / log.name.split(".", 1)[0]
     online, final, report = (base.with_suffix(e) for e in (".tum", ".final.tum", ".json"))
     command = [
         *(sys.executable, "-m", "amr_slam", "replay", str(log)),
-        *("--scan-period", f"{SCAN_PERIOD_S:g}", "--lidar", "0,0,0"),
+        *(["--scan-period", f"{scan_period_s:g}"] if scan_period_s > 0.0 else []),
+        *([] if loops else ["--no-loops"]),
+        *("--lidar", "0,0,0"),
         *("--out", str(online), "--out-final", str(final)),
         *("--map-out", str(base.with_suffix(".amrmap")), "--report", str(report)),
     ]
     begun_s = time.perf_counter()
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    _, status, usage = os.wait4(child.pid, 0)
     took_s = time.perf_counter() - begun_s
+    if status:
+        raise subprocess.CalledProcessError(os.waitstatus_to_exitcode(status), command)
     return Run(
         report=json.loads(report.read_text("utf-8")),
         took_s=took_s,
+        most_mb=usage.ru_maxrss / 1024.0,
         wheels=Trajectory(
             stamps_ns=np.array([sample.stamp_ns for sample in wheels], dtype=np.int64),
             poses=np.array([sample.odom_from_base.as_array() for sample in wheels]),
@@ -121,10 +143,20 @@ def rows(name: str, run: Run) -> Iterator[str]:
             f"{wheels.position_m.rms:.2f}",
             _rms_median(online),
             _rms_median(final),
+            _relations(name, run.final),
             f"{report['refused_by_fusion']}",
             f"{report['epoch']}",
+            f"{run.most_mb:.0f}",
         )
         yield f"| {' | '.join(cells)} |"
+
+
+def _relations(name: str, final: Trajectory) -> str:
+    path = LOGS / f"{name}.relations"
+    if not path.exists():
+        return ""
+    error = relations_error(final, read_relations(path), max_gap_s=MAX_GAP_S)
+    return f"{error.position_m.mean:.3f} / {error.heading_deg.mean:.2f}"
 
 
 def _rms_median(error: TrajectoryError) -> str:

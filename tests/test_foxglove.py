@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from messages import WELL, pose_of, status_of
+from paths import REPO
 
 from amr_slam import foxglove
 from amr_slam.geometry import Pose2
@@ -187,3 +188,36 @@ def test_a_robot_that_knows_nothing_has_no_ellipse() -> None:
     (drawn,) = scene["entities"]
     assert drawn["cylinders"] == []
     assert drawn["texts"][0]["text"] == "amr7: lost ± ?"
+
+
+@pytest.mark.parametrize("name", ["recording", "live"])
+def test_layouts_show_topics_that_there_are(name: str) -> None:
+    layout = json.loads((REPO / "config" / "foxglove" / f"{name}.json").read_text())
+    panels = layout["configById"]
+
+    def leaves(node: Any) -> list[str]:
+        return [node] if isinstance(node, str) else leaves(node["first"]) + leaves(node["second"])
+
+    assert sorted(leaves(layout["layout"])) == sorted(panels)
+    paths = [path["value"] for panel in panels.values() for path in panel.get("paths", [])]
+    shown = {
+        *panels["3D!map"]["topics"],
+        panels["RosOut!health"]["topicToRender"],
+        panels["RawMessages!status"]["topicPath"],
+        *(path.split(".")[0] for path in paths),
+    }
+    if name == "live":
+        leaf = ("scene", "scan", "health", "status", "pose")
+        assert shown == {"/map/hall", *(f"/amr7/{one}" for one in leaf)}
+    else:
+        assert shown == {
+            *("/map", "/scene", "/scan/front", "/scan/rear"),
+            *("/health", "/status", "/pose"),
+        }
+    fields = {"pose": pose_of(), "status": status_of()}
+    for path in paths:
+        topic, *keys = path.removeprefix("/amr7").removeprefix("/").split(".")
+        value: Any = json.loads(fields[topic].encode())
+        for key in keys:
+            value = value[key]
+        assert isinstance(value, float | int | str)

@@ -11,7 +11,7 @@ import pytest
 from amr_slam.clouds import CloudParams, cloud_from_scan
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import MapParams, PointMap
-from amr_slam.pictures import Georeference, draw_map
+from amr_slam.pictures import Georeference, MapPanel, draw_map, map_panels, style
 from amr_slam.recording import Trajectory
 from amr_slam.simulation import ScannerModel, World, take_scan
 
@@ -81,3 +81,37 @@ def test_a_map_can_be_drawn_without_paths_or_points(tmp_path: Path) -> None:
 def test_other_endings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"\.png or \.svg"):
         draw_map(room(), [], tmp_path / "room.jpg", "room")
+
+
+def test_maps_side_by_side_have_one_scale_and_say_what_is_what(tmp_path: Path) -> None:
+    path = np.array([[-2.0, 1.0], [0.0, 1.5], [9.0, 1.5]])  # leaves the second map's walls
+    scan = np.array([[5.0, 0.0], [5.0, 0.5]])
+    figure = map_panels(
+        [
+            MapPanel(title="one", known=room(), path_m=path[:2]),
+            MapPanel(title="two", known=room(), path_m=path, scan_m=scan),
+        ],
+        12.0,
+    )
+    first, second = figure.axes
+    assert first.get_xlim() == second.get_xlim()
+    assert first.get_ylim() == second.get_ylim()
+    assert second.get_xlim()[1] > 9.0
+    (legend,) = figure.legends
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts == ["walls", "poses of the scans", "the scan, as registered", "the robot"]
+    style.save(figure, tmp_path / "two.png")
+    picture = mpl_image.imread(tmp_path / "two.png")
+    box = second.get_position()
+    column = box.x0 + box.width * (5.0 - second.get_xlim()[0]) / np.ptp(second.get_xlim())
+    row = box.y0 + box.height * (0.25 - second.get_ylim()[0]) / np.ptp(second.get_ylim())
+    height, width = picture.shape[:2]
+    near = picture[int(height * (1.0 - row)) - 3 :, int(width * column) - 3 :][:6, :6, :3]
+    assert (near[..., 0] - near[..., 2]).max() > 0.3  # vermilion on the blue wall
+
+
+def test_no_two_of_seven_look_alike_in_colour_line_and_mark() -> None:
+    looks = [style.look(number) for number in range(7)]
+    assert len({look.colour for look in looks}) == 7
+    assert len({look.marker for look in looks}) == 7
+    assert style.look(7) == looks[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import signal
@@ -10,20 +11,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jsonschema
+import numpy as np
 import pytest
 from daemon_rig import Daemon, Robot, until, write_config
+from foxglove_official import official
+from mcap.reader import make_reader
 from mcap.records import Channel, Message
-from messages import pose_of, status_of
+from messages import MAP_ID, pose_of, status_of
 
 from amr_drivers.decoding import with_decoded
 from amr_slam.cli import main
 from amr_slam.cli.wiring import _settings
 from amr_slam.config import Config, RecordingSettings, load
+from amr_slam.map.export import FREE, OCCUPIED, OccupancyImage, png_bytes
 from amr_slam.recording import read_log
 from amr_slam.recording.mcap_file import records
-from amr_slam.samples import RawBytes, RawFrame, Scan, Way, WheelSample, untapped
+from amr_slam.samples import RawBytes, RawFrame, Scan, State, Way, WheelSample, untapped
+from amr_slam.service import record_file
 from amr_slam.service import recorder as module
 from amr_slam.service.recorder import Recorder
+from amr_slam.serving import Asked, Picture
+from amr_slam.wire import MapImage
 
 
 def topics_in(path: Path) -> dict[str, int]:
@@ -64,7 +73,7 @@ def test_a_signal_saves_the_last_minutes_and_replay_runs_on_them(
     assert saved.name.endswith("-sigusr1.mcap")
     for path in (saved, whole):
         counts = topics_in(path)
-        assert set(counts) == {
+        assert set(counts) - {"/map"} == {
             *("/raw/front", "/raw/rear", "/raw/wheels", "/scan/front", "/scan/rear", "/wheels"),
             *("/pose", "/status", "/decisions", "/tf", "/tf_static", "/scene", "/health"),
         }
@@ -164,6 +173,50 @@ def test_all_kinds_of_things_are_saved_in_their_order(config: tuple[Config, Path
     assert [p.name for p in rig.directory.iterdir()] == [path.name]
 
 
+def test_a_recording_shows_the_map_that_was_drawn_once(
+    config: tuple[Config, Path], tmp_path: Path
+) -> None:
+    pixels = np.full((2, 3), FREE, dtype=np.uint8)
+    pixels[0] = OCCUPIED
+    png = png_bytes(OccupancyImage(pixels=pixels, resolution_m=0.5, x_min_m=0.0, y_min_m=0.0))
+    where = MapImage(
+        map=MAP_ID,
+        width_px=3,
+        height_px=2,
+        metres_per_px=0.5,
+        column_of_x0_px=0.0,
+        row_of_y0_px=2.0,
+    )
+    asked: list[Asked] = []
+    whole = tmp_path / "whole.mcap"
+    with Rig(config, record=whole) as recorder:
+        recorder.shows_maps(asked.append)
+        recorder.published(status_of(state=State.LOST))
+        recorder.published(status_of())
+        until(lambda: len(asked) == 1, "the question for the picture")
+        asked[0].not_done("the SLAM process has ended meanwhile")
+        recorder.published(status_of())
+        until(lambda: len(asked) == 2, "the question anew")
+        asked[1].done(Picture(png=png, georeference=where))
+        recorder.published(status_of())
+        recorder.tap(raw(7))
+        path = recorder.save("shown")
+        assert path is not None
+        until(path.exists, "the recording")
+    assert len(asked) == 2
+    for file in (path, whole):
+        assert topics_in(file)["/map"] == 1
+        with file.open("rb") as stream:
+            ((schema, _, message),) = make_reader(stream).iter_messages(topics=["/map"])
+        shown = json.loads(message.data)
+        assert schema is not None
+        assert schema.name == "foxglove.Grid"
+        jsonschema.validate(shown, official(schema.name))
+        assert shown["column_count"] == 3
+        cells = np.frombuffer(base64.b64decode(shown["data"]), np.uint8).reshape(2, 3, 4)
+        assert (cells[1] == [0, 0, 0, 255]).all()  # the upper row is the last
+
+
 def test_without_a_ring_nothing_is_tapped_and_nothing_saved(
     config: tuple[Config, Path], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -191,7 +244,8 @@ def test_a_full_disk_ends_the_recording_and_saves_nothing(
     whole = tmp_path / "whole.mcap"
     with Rig(config, record=whole) as recorder:
         recorder.tap(raw(1))
-        monkeypatch.setattr(module, "_LEAST_FREE_BYTES", 1 << 60)
+        for one in (module, record_file):
+            monkeypatch.setattr(one, "LEAST_FREE_BYTES", 1 << 60)
         until(lambda: "the recording ends here: the disk is nearly full" in caplog.text, "the end")
         recorder.tap(raw(2))
         path = recorder.save("reason")

@@ -30,6 +30,7 @@ STUDIES: Final = {
     "peers": "peers",
     "calibration": "calibrating",
     "large": "large",
+    "exchanged": "exchanged",
 }
 NEEDS_LOGS: Final = frozenset({"real"})
 
@@ -49,9 +50,7 @@ def main() -> int:
         logs = (arguments.logs,) if name in NEEDS_LOGS else ()
         sections.append(module.run(effort, *logs))
         _say(f"{name}: {time.process_time() - study_begun_s:.0f} s")
-        write_page(
-            "Evaluation", _preface(chosen, arguments.scale, begun_s), sections, arguments.out
-        )
+        write_page("Evaluation", _preface(chosen, arguments, begun_s), sections, arguments.out)
     return 0
 
 
@@ -59,9 +58,12 @@ def _say(text: str) -> None:
     print(text, flush=True)
 
 
-def _preface(chosen: list[str], scale: float, begun_s: float) -> str:
+def _preface(chosen: list[str], arguments: argparse.Namespace, begun_s: float) -> str:
+    seed = f" --seed {arguments.seed}" if arguments.seed else ""
+    logs = f" --logs {arguments.logs}" if NEEDS_LOGS & set(chosen) else ""
+    command = f"--scale {arguments.scale:g}{seed} --only {' '.join(chosen)}{logs}"
     return (
-        f"Written by `python tools/evaluate.py --scale {scale:g} --only {' '.join(chosen)}` in "
+        f"Written by `python tools/evaluate.py {command}` in "
         f"{(time.process_time() - begun_s) / 60.0:.0f} minutes of processor time: "
         f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}, "
         f"numpy {np.__version__}. All worlds, poses and noise are seeded."

@@ -85,7 +85,7 @@ def fit_plan(
 
     Raises AlignError where it fits nowhere.
     """
-    walls = known.target()
+    walls = known.surfaces()
     if len(walls) < _LEAST_POINTS:
         raise AlignError("the map has hardly any wall")
     x_min, y_min, x_max, y_max = known.bounds()
@@ -209,7 +209,7 @@ def _judged(
     near: Pose2 | None,
     middle: Pose2,
 ) -> PlanFit:
-    exact = refined(known.target(), plan, best.pose, params.near_m, middle)
+    exact = refined(known.surfaces(), plan, best.pose, params.near_m, middle)
     if len(exact.points_m) < _LEAST_POINTS:
         raise AlignError("the map fits nowhere in the floor plan, or nowhere near the hint")
     problems, findings = [], []

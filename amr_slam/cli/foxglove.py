@@ -21,7 +21,7 @@ def run(arguments: argparse.Namespace) -> int:
         if error.name != "foxglove":
             raise
         raise UsageError(
-            "foxglove-sdk is not installed: pip install 'amr-slam[foxglove]'"
+            "foxglove-sdk is not installed: pip install 'foxglove-sdk>=0.30,<1'"
         ) from error
     serve(
         arguments.connect or DEFAULT_ENDPOINT,

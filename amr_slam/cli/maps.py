@@ -19,7 +19,12 @@ from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.commissioning.making import NothingToReport
 from amr_slam.config import ConfigError
 from amr_slam.map import LayerError, MapError, PointMap, load_map, save_map
-from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
+from amr_slam.map.export import (
+    write_graph,
+    write_occupancy,
+    write_points_csv,
+    write_points_ply,
+)
 from amr_slam.map.file import VERSION
 from amr_slam.map.provenance import to_header
 from amr_slam.recording import RecordingError, Trajectory, write_tum
@@ -120,22 +125,28 @@ def _render(arguments: argparse.Namespace, known: PointMap) -> None:
     from amr_slam.pictures import draw_map  # noqa: PLC0415 - half a second, for pictures only
 
     path = np.array([pose.as_array()[:2] for _, pose in known.path]).reshape(-1, 2)
+    paths = [("path of the scans", path)] if len(path) else []
     title = f"{known.name}: {known.area_m2():.0f} m² of floor, {len(known.path)} scans"
     with writing(arguments.out) as out:
-        draw_map(known, [("path of the scans", path)], out, title)
+        draw_map(known, paths, out, title)
 
 
 def _export(arguments: argparse.Namespace, known: PointMap) -> None:
+    if arguments.resolution is not None and arguments.out.suffix != ".pgm":
+        raise UsageError("--resolution is of the pixels of a .pgm")
     with writing(arguments.out) as out:
         match out.suffix:
             case ".pgm":
-                image, described = write_occupancy(known, out)
+                image, described = write_occupancy(known, out, arguments.resolution)
                 rows, columns = image.pixels.shape
                 said = f"{columns} x {rows} pixels of {image.resolution_m:g} m, and {described}"
             case ".csv":
                 said = f"{write_points_csv(known, out)} points"
             case ".ply":
                 said = f"{write_points_ply(known, out)} points"
+            case ".g2o":
+                poses, pairs = write_graph(known, out)
+                said = f"{poses} poses, {pairs} pairs"
             case _:
                 write_tum(out, _path(known))
                 said = f"{len(known.path)} poses"

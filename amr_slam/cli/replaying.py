@@ -10,6 +10,7 @@ import sys
 import time
 import uuid
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
@@ -44,7 +45,10 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         grown = PointMap(source.slam.map, source.name)
     localizer = _localizer(source, starts_map=arguments.map is None)
-    engine = SlamEngine(source.slam, grown, "mapping" if mapping else "localization")
+    params = source.slam
+    if arguments.no_loops:
+        params = replace(params, closing=replace(params.closing, enabled=False))
+    engine = SlamEngine(params, grown, "mapping" if mapping else "localization")
     first_ns, last_ns = source.samples[0].stamp_ns, source.samples[-1].stamp_ns
     with Progress("replay", first_ns, last_ns) as progress:
         result = replay(source.samples, localizer, engine, progress.at)

@@ -22,6 +22,8 @@ ERROR: Final = 4
 
 _SECOND_NS: Final = 1_000_000_000
 _UINT8, _FLOAT32 = 1, 7
+_MOST_CELLS: Final = 500_000
+"""Of a grid: two megabytes in JSON."""
 _WALL, _SEEN, _UNKNOWN = (0, 0, 0, 255), (210, 224, 237, 160), (0, 0, 0, 0)
 """Red, green, blue, alpha of a map's pixels: what nobody saw is not painted over."""
 
@@ -95,10 +97,15 @@ def grid(
     frame: str,
     pixels: NDArray[np.uint8],
     metres_per_px: float,
-    corner_m: tuple[float, float],
+    column_of_x0_px: float,
+    row_of_y0_px: float,
 ) -> Fields:
     """A map's picture: ``pixels`` (rows, columns), 0 a wall, above 250 floor that was seen,
-    others unknown; the first row has the greatest y. ``corner_m``: x, y of the lower left."""
+    others unknown; columns grow with x, rows against y. Large ones are made coarser."""
+    every = math.ceil(math.sqrt(pixels.size / _MOST_CELLS))
+    top_m = row_of_y0_px * metres_per_px
+    left_m = -column_of_x0_px * metres_per_px
+    pixels, metres_per_px = _coarser(pixels, every), every * metres_per_px
     rows, columns = pixels.shape
     cells = np.empty((rows, columns, 4), dtype=np.uint8)
     cells[:] = _UNKNOWN
@@ -107,7 +114,8 @@ def grid(
     return {
         "timestamp": time_fields(stamp_ns),
         "frame_id": frame,
-        "pose": pose_fields(Pose2(*corner_m, 0.0), -0.01),  # below what lies on the floor
+        # Below what lies on the floor; from its lower left corner on.
+        "pose": pose_fields(Pose2(left_m, top_m - rows * metres_per_px, 0.0), -0.01),
         "column_count": columns,
         "cell_size": {"x": metres_per_px, "y": metres_per_px},
         "row_stride": 4 * columns,
@@ -118,6 +126,15 @@ def grid(
         ],
         "data": base64.b64encode(cells[::-1].tobytes()).decode("ascii"),
     }
+
+
+def _coarser(pixels: NDArray[np.uint8], every: int) -> NDArray[np.uint8]:
+    """The darkest of each ``every`` by ``every`` pixels: a thin wall stays one."""
+    rows, columns = (-(-side // every) for side in pixels.shape)
+    room = np.full((rows * every, columns * every), 255, dtype=np.uint8)
+    room[: pixels.shape[0], : pixels.shape[1]] = pixels
+    blocks: NDArray[np.uint8] = room.reshape(rows, every, columns, every).min(axis=(1, 3))
+    return blocks
 
 
 def points(stamp_ns: int, frame: str, points_m: Array) -> Fields:

@@ -105,10 +105,12 @@ class Chart:
         self.poses = np.concatenate([self.poses, pose.as_array()[np.newaxis]])
         self._ways_m.append(way_m)
         self._submaps.insert(row, cloud, pose, self._ways_m)
-        if way_m - self._sought_m < self._params.closing.step_m or not self._submaps.finished:
+        rules = self._params.closing
+        due = way_m - self._sought_m >= rules.step_m and len(self._submaps.finished) > 0
+        if not rules.enabled or not due:
             return None
         self._sought_m = way_m
-        drift = self._ties.drift(self.poses, self._params.closing.drift_model)
+        drift = self._ties.drift(self.poses, rules.drift_model)
         found = self._closing.seek(cloud, self.poses, self._ways_m, drift, self._submaps)
         found += self._recalling.seek(self.poses, self._ways_m, drift, self._submaps)
         if not found:

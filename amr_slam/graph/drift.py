@@ -56,9 +56,10 @@ class Ties:
         """Of the newest of all nodes' poses (n, 3). Takes about a microsecond a node."""
         count = len(poses)
         graph = csr_array((self._ways_m, (self._starts, self._ends)), shape=(count, count))
-        ways_m, parents = dijkstra(
-            graph, directed=False, indices=count - 1, return_predecessors=True
+        everywhere, before = dijkstra(
+            graph, directed=False, indices=[count - 1], return_predecessors=True
         )
+        ways_m, parents = everywhere[0], before[0]
         parents = np.where(parents < 0, count - 1, parents).astype(np.intp)
         # Where the heading's error of each tie turns what lies beyond, seen from the newest node.
         at = 0.5 * (poses[:, :2] + poses[parents, :2]) - poses[-1, :2]

@@ -107,8 +107,8 @@ class Recalling:
         for number, submap in enumerate(submaps.finished):
             if float(drift.ways_m[submap.rows].min()) < params.closing.rival_way_m:
                 continue
-            rows = self._candidates(view, pose, poses, drift, submap)
-            rough += [(float(row[3]), number, row[:3]) for row in rows]
+            here = self._candidates(view, pose, poses, drift, submap)
+            rough += [(float(row[3]), number, row[:3]) for row in here]
         rough.sort(key=lambda one: one[:2])
         chosen: dict[int, list[Array]] = {}
         for _, number, row in rough[: params.closing.recall_candidates]:

@@ -1,4 +1,4 @@
-"""The map in other programs' formats: occupancy image, points."""
+"""The map in other programs' formats: occupancy image, points, pose graph."""
 
 from __future__ import annotations
 
@@ -105,13 +105,15 @@ def _spread(centres: Array, cell_m: float, pixel_m: float) -> Array:
     return spread
 
 
-def write_occupancy(grown: PointMap, path: Path) -> tuple[OccupancyImage, Path]:
+def write_occupancy(
+    grown: PointMap, path: Path, resolution_m: float | None = None
+) -> tuple[OccupancyImage, Path]:
     """``path`` (.pgm) and the YAML file beside it, as nav2's map server reads them.
 
     Returns the image and the YAML file's path. Raises MapError and OSError.
     Source: nav2_map_server, map_io.cpp: keys of the YAML file and the trinary mode.
     """
-    image = occupancy_image(grown)
+    image = occupancy_image(grown, resolution_m)
     rows, columns = image.pixels.shape
     path.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + image.pixels.tobytes())
     described = path.with_suffix(".yaml")
@@ -151,6 +153,30 @@ def write_points_ply(grown: PointMap, path: Path) -> int:
         stream.write("end_header\n")
         np.savetxt(stream, np.hstack([rows[:, :2], zeros, rows[:, 2:], zeros]), fmt="%.4f")
     return len(rows)
+
+
+def write_graph(grown: PointMap, path: Path) -> tuple[int, int]:
+    """The pose graph as g2o reads it: the scans' poses, the first one fixed, and what is known of
+    pairs of them. Returns the numbers of poses and of pairs.
+
+    Raises MapError for a map without a graph, and OSError. Source: g2o, types/slam2d.
+    """
+    ties = grown.ties
+    if not len(ties):
+        raise MapError(
+            "the map holds no pose graph: it was not made here from nothing, or by an older version"
+        )
+    rows, columns = np.triu_indices(3)
+    with path.open("w", encoding="ascii", newline="\n") as stream:
+        for row, (_, pose) in enumerate(grown.path):
+            stream.write(f"VERTEX_SE2 {row} {pose.x_m:.9g} {pose.y_m:.9g} {pose.theta_rad:.9g}\n")
+        stream.write("FIX 0\n")
+        for start, end, delta, information in zip(
+            ties.starts, ties.ends, ties.deltas, ties.informations, strict=True
+        ):
+            numbers = " ".join(f"{x:.9g}" for x in (*delta, *information[rows, columns]))
+            stream.write(f"EDGE_SE2 {start} {end} {numbers}\n")
+    return len(grown.path), len(ties)
 
 
 def _points_and_normals(grown: PointMap) -> Array:

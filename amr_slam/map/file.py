@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import stat
 import struct
 import uuid
 import zlib
@@ -32,6 +33,9 @@ VERSION = 3
 MAX_FILE_BYTES = 512 * 2**20
 MAX_CONTENT_BYTES = 2 * 2**30
 _MAX_HEADER_BYTES = 2**20
+# Maps shrink to a third or a twelfth when they are packed. What shrinks by more than this is no
+# map, and would fill a robot's memory before it is found out.
+_BY_HOW_MUCH, _SMALL = 64, 2**20
 _LENGTH = struct.Struct("<I")
 _DIGEST_BYTES = 32
 _NAMESPACE = uuid.UUID("6f1c1f5e-5d0b-4c3b-9c0e-2a4f6a3b7d10")
@@ -132,6 +136,8 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
     if drawn:
         header["layers"] = drawn
     text = json.dumps(header, sort_keys=True).encode()
+    if len(text) > _MAX_HEADER_BYTES:
+        raise MapError(f"{grown.name}: its header would be {len(text)} bytes: remove layers")
     body = MAGIC + _LENGTH.pack(len(text)) + text + zlib.compress(content, 6)
     return body + hashlib.sha256(body).digest(), map_id
 
@@ -146,7 +152,10 @@ def _identity(content: bytes, drawn: list[dict[str, Any]]) -> uuid.UUID:
 def load_map(path: Path) -> tuple[PointMap, uuid.UUID]:
     """The map in a file and its UUID. Raises MapError: missing, damaged, too new, too large."""
     try:
-        size = path.stat().st_size
+        about = path.stat()
+        size = about.st_size
+        if not stat.S_ISREG(about.st_mode):
+            raise MapError(f"{path}: is no file")
         if size > MAX_FILE_BYTES:
             raise MapError(f"{path}: {size} bytes, more than a map may have ({MAX_FILE_BYTES})")
         data = path.read_bytes()
@@ -214,8 +223,9 @@ def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, u
         for name, (dtype, columns) in layout.items()
     }
     total = sum(sizes.values())
-    if min(rows.values()) < 0 or total > MAX_CONTENT_BYTES:
-        raise MapError(f"the header claims {total} bytes, more than a map may have")
+    packed = len(body) - start - length
+    if min(rows.values()) < 0 or total > min(MAX_CONTENT_BYTES, _BY_HOW_MUCH * packed + _SMALL):
+        raise MapError(f"the header claims {total} bytes of map, which {packed} bytes cannot hold")
     unpacker = zlib.decompressobj()
     try:
         content = unpacker.decompress(body[start + length :], total + 1)

@@ -19,6 +19,7 @@ MAX_PIXELS: Final = 40_000_000
 """500 x 200 m in cells of 5 cm: what is made of them fits into a robot's memory."""
 _FORMATS: Final = ("PPM", "PNG", "BMP", "JPEG", "TIFF")
 _MOST_RAW: Final = 100
+_UNKNOWN, _FREE = 205, 254
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,6 +43,8 @@ def read_grid(described: Described) -> OccupancyGrid:
             "the first must be less"
         )
     known = np.ones(shade.shape, dtype=np.bool_)
+    if described.mode == "trinary":
+        known = ~_saved_as_unknown(shade)
     if described.mode == "trinary" and opacity is not None:
         shade = 0.75 * shade + 0.25 * opacity  # so do map servers: transparent is dark
     if described.mode == "scale" and opacity is not None:
@@ -60,6 +63,13 @@ def read_grid(described: Described) -> OccupancyGrid:
     )
 
 
+def _saved_as_unknown(shade: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Map savers write 254 for floor and 205 for unknown, with thresholds by which the latter is
+    floor, too (nav2's own default): what nobody has seen must be no place to look for a robot."""
+    grey = np.round(255.0 * shade)
+    return np.asarray((grey == _UNKNOWN) & np.any(grey == _FREE))
+
+
 def _shades(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
     """(rows, columns) 0 black to 1 white, and 0 transparent to 1 opaque where there is such."""
     try:
@@ -71,7 +81,9 @@ def _shades(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None
                     return _grey(picture)
     except OSError as error:
         raise MapError(f"{path}: cannot be read as a picture: {error.strerror or error}") from error
-    except (ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError as error:
+        raise MapError(f"{path}: more than {MAX_PIXELS} pixels: {error}") from error
+    except (ValueError, SyntaxError, EOFError) as error:
         raise MapError(f"{path}: the picture is damaged: {error}") from error
     raise MapError(
         f"{path}: {width} x {height} pixels, more than {MAX_PIXELS}: cut it into parts, or make "

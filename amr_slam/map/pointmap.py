@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import effective
-from amr_slam.map.carving import carved
 from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
 from amr_slam.map.layers import LayerKind, Layers
 from amr_slam.map.provenance import Imported, Reframing
 from amr_slam.map.rays import Rays, forget, needs_room, pack
+from amr_slam.map.strokes import carved, wall_values
 from amr_slam.map.ties import no_ties
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
@@ -46,8 +46,6 @@ class MapParams:
     """False keeps the band (the paper's union of scans)."""
 
 
-# Nearer than this, a point counts in full.
-_NEAR_M = 3.0
 # Where noise across the walls is more than this many cells, cells of twice the side hold as much.
 # So many scans must tell so: the change is for good.
 _COARSER, _COARSER_SCANS = 2.8, 5
@@ -114,6 +112,13 @@ class PointMap:
         self._draw_appended()
         return self._space
 
+    def __copy__(self) -> PointMap:
+        """With grids in common, so nothing may be left to be drawn into them by one of the two."""
+        self._draw_appended()
+        fresh = PointMap.__new__(PointMap)
+        vars(fresh).update(vars(self))
+        return fresh
+
     # -- growing ---------------------------------------------------------------------------
 
     def insert(self, cloud: Cloud, map_from_base: Pose2) -> None:
@@ -161,8 +166,8 @@ class PointMap:
     def copied(self) -> PointMap:
         """A map of its own with the same content."""
         fresh = copy.copy(self)
-        fresh.walls, fresh.space = copy.copy(self.walls), copy.copy(self.space)
-        for grid in (fresh.walls, fresh.space):
+        fresh._walls, fresh._space = copy.copy(self._walls), copy.copy(self._space)
+        for grid in (fresh._walls, fresh._space):
             grid.keys, grid.sums = grid.keys.copy(), grid.sums.copy()
         fresh.path, fresh.noises_m = list(self.path), list(self.noises_m)
         fresh.rays = list(self.rays)
@@ -188,7 +193,7 @@ class PointMap:
         points, origins = (np.concatenate(part) for part in zip(*placed, strict=True))
         normals = np.concatenate([cloud.normals @ pose.rotation.T for cloud, pose in scans])
         known = np.concatenate([cloud.has_normal for cloud, _ in scans])
-        self.walls.add(self.walls.keys_of(points), _wall_values(points, origins, normals, known))
+        self.walls.add(self.walls.keys_of(points), wall_values(points, origins, normals, known))
         self._carve(placed, [cloud.sigma_m for cloud, _ in scans])
         if len(points):
             low, high = self._changed or (points.min(axis=0), points.max(axis=0))
@@ -422,30 +427,6 @@ class PointMap:
             return 0.0, 0.0, 0.0, 0.0
         low, high = centres.min(axis=0), centres.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
-
-
-def _wall_values(points: Array, origins: Array, normals: Array, known: NDArray[np.bool_]) -> Array:
-    """(n, channels) what each point adds to its wall cell."""
-    double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
-    sight = origins - points
-    reach = np.linalg.norm(sight, axis=1)
-    sight = sight / np.maximum(reach, 1e-9)[:, None]
-    values = np.stack(
-        [
-            np.ones(len(points)),
-            points[:, 0],
-            points[:, 1],
-            np.where(known, np.cos(double), 0.0),
-            np.where(known, np.sin(double), 0.0),
-            sight[:, 0],
-            sight[:, 1],
-        ],
-        axis=1,
-    )
-    # A near look at a wall outweighs a far one: its place and direction are known better.
-    values *= np.clip((_NEAR_M / np.maximum(reach, 1e-3)) ** 2, 0.02, 1.0)[:, None]
-    # ... but the noise of a point is the same at any distance.
-    return np.hstack([values, np.ones((len(points), 1))])
 
 
 def _near(points: Array | NDArray[np.float32], centre: Pose2, radius_m: float) -> NDArray[np.bool_]:

@@ -18,6 +18,7 @@ from typing import Self
 import numpy as np
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import Writer
+from numpy.typing import NDArray
 
 from amr_slam import foxglove
 from amr_slam.geometry import Pose2
@@ -96,6 +97,19 @@ class RecordingWriter:
     def write_truth(self, stamp_ns: int, map_from_base: Pose2) -> None:
         """Where the robot really was, in the frame of a map that begins at the start pose."""
         self.add(messages.encode_truth(stamp_ns, map_from_base))
+
+    def write_map(
+        self,
+        stamp_ns: int,
+        pixels: NDArray[np.uint8],
+        metres_per_px: float,
+        column_of_x0_px: float,
+        row_of_y0_px: float,
+    ) -> None:
+        """The map as it is from ``stamp_ns`` on, for who looks at the recording: see
+        :func:`amr_slam.foxglove.grid`."""
+        drawn = foxglove.grid(stamp_ns, "map", pixels, metres_per_px, column_of_x0_px, row_of_y0_px)
+        self._add(Entry("/map", foxglove.GRID, stamp_ns, foxglove.as_bytes(drawn)))
 
     def add(self, entry: Entry) -> None:
         """Write a message that was encoded before, and what is drawn of it."""

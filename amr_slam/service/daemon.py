@@ -124,6 +124,7 @@ def startup(
         config, config_path, inbox, worker, reporter, recorder, upkeep=upkeep, signals=signals
     )
     publisher.serve(inbox.put)
+    recorder.shows_maps(inbox.put)
     return daemon
 
 

@@ -10,7 +10,6 @@ import json
 import logging
 import os
 import re
-import shutil
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -29,7 +28,10 @@ from amr_slam.recording.messages import Entry, encode, encode_decision, encode_p
 from amr_slam.recording.ring import Kept, Ring
 from amr_slam.rerun import Decision
 from amr_slam.samples import WHEELS, Raw, RawBytes, Way, untapped
+from amr_slam.service.map_view import MapView
+from amr_slam.service.record_file import LEAST_FREE_BYTES, RecordFile, free_bytes, write_map
 from amr_slam.service.shelf import Shelf
+from amr_slam.serving.asked import Put
 from amr_slam.wire import PoseMessage, StatusMessage
 
 _log = logging.getLogger(__name__)
@@ -37,8 +39,6 @@ _log = logging.getLogger(__name__)
 _PERIOD_S: Final = 0.2
 _MAX_WAITING: Final = 100_000
 """Things that wait for the thread: a minute and a half of two scanners, while a disk hangs."""
-_LEAST_FREE_BYTES: Final = 256 << 20
-"""Of the disk: maps and the journal must go on."""
 _MAX_FILE_BYTES: Final = 8 << 20
 _CLOSE_LIMIT_S: Final = 0.4  # what the other parts leave of the 5 s of a stop
 
@@ -56,6 +56,7 @@ class Recorder:
         self._robot = config.robot.name
         self._config_text = config_path.read_text("utf-8")
         self._devices = _devices(config)
+        self._view = MapView()
         self._mountings = {
             scanner.name: scanner.mounting.mounting.base_from_lidar for scanner in config.scanners
         }
@@ -70,7 +71,7 @@ class Recorder:
         """Whether there is a ring to save without being asked, and room for it."""
         self.trouble: str | None = None
         """Why the last saving failed; None when it did not."""
-        self._file = None if record is None else _RecordFile(record, self._described(record))
+        self._file = None if record is None else RecordFile(record, self._described(record))
         self._lock = threading.Lock()
         self._waiting: list[_Item] = []
         self._overrun = False
@@ -90,6 +91,11 @@ class Recorder:
     def tap(self) -> Callable[[Raw], object]:
         """For the drivers."""
         return self._put if self._thread.is_alive() else untapped
+
+    def shows_maps(self, put: Put) -> None:
+        """From now on recordings show the active map, which ``put`` has drawn."""
+        if self._thread.is_alive():
+            self._view.put = put
 
     def take(self, sample: Decoded) -> None:
         """A sample that the localizer gets."""
@@ -158,6 +164,9 @@ class Recorder:
             items, self._waiting = self._waiting, []
             overrun, self._overrun = self._overrun, False
             wanted = self._wanted
+        for item in items:
+            if isinstance(item, tuple) and isinstance(item[1], StatusMessage):
+                self._view.follow(item[1])
         entries = [_entry(item) for item in items]
         now_ns = time.monotonic_ns()
         if overrun:
@@ -167,7 +176,7 @@ class Recorder:
                 for device in self._devices
             ]
         if self._file is not None:
-            self._file.write(entries)
+            self._file.write(entries, self._view.newest, now_ns)
         if self._keeps:
             self._ring.add(entries, now_ns)
         if wanted is not None:
@@ -190,7 +199,11 @@ class Recorder:
             self._make_room(kept.size_bytes, automatic=automatic)
             try:
                 with self._described(part, reason) as writer:
+                    picture = self._view.newest
                     for entries in kept.parts():
+                        if picture is not None:
+                            write_map(writer, picture, entries[0].stamp_ns)
+                            picture = None
                         self._write_part(writer, entries)
                 with part.open("rb") as written:
                     os.fsync(written.fileno())
@@ -214,7 +227,7 @@ class Recorder:
         """Automatic recordings give way to the others, and to the disk's least free space."""
         if automatic and not self._shelf.make_room(size_bytes):
             raise _NoRoomError(f"{size_bytes >> 20} MiB are more than recording.automatic_mb")
-        while _free_bytes(self._shelf.folder) < _LEAST_FREE_BYTES + size_bytes:
+        while free_bytes(self._shelf.folder) < LEAST_FREE_BYTES + size_bytes:
             if not self._shelf.drop_oldest():
                 raise _NoRoomError("the disk is nearly full")
 
@@ -252,42 +265,6 @@ class _GivenUpError(Exception):
     """The daemon stops."""
 
 
-class _RecordFile:
-    """The file of ``--record``. It ends early, with a warning, rather than fill the disk."""
-
-    def __init__(self, path: Path, writer: RecordingWriter) -> None:
-        self._path = path
-        self._writer: RecordingWriter | None = writer
-
-    def write(self, entries: Sequence[Entry]) -> None:
-        if self._writer is None:
-            return
-        try:
-            for entry in entries:
-                self._writer.add(entry)
-            self._writer.flush()
-            full = _free_bytes(self._path) < _LEAST_FREE_BYTES
-        except OSError as error:
-            self._end(error.strerror or str(error))
-            return
-        if full:
-            self._end("the disk is nearly full")
-        elif self._writer.is_full:
-            self._end("2 GiB of messages are in it")
-
-    def close(self) -> None:
-        if self._writer is not None:
-            writer, self._writer = self._writer, None
-            try:
-                writer.close()
-            except OSError as error:
-                _log.warning("%s: cut off: %s", self._path, error.strerror or error)
-
-    def _end(self, reason: str) -> None:
-        _log.warning("%s: the recording ends here: %s", self._path, reason)
-        self.close()
-
-
 def _entry(item: _Item) -> Entry:
     if isinstance(item, tuple):
         stamp_ns, message = item
@@ -295,11 +272,6 @@ def _entry(item: _Item) -> Entry:
     if isinstance(item, Decision):
         return encode_decision(item.stamp_ns, item.do, item.arguments)
     return encode(item)
-
-
-def _free_bytes(path: Path) -> int:
-    """Of the disk of a file or folder that need not be there yet."""
-    return shutil.disk_usage(next(one for one in path.parents if one.exists())).free
 
 
 def _devices(config: Config) -> tuple[RecordedDevice, ...]:

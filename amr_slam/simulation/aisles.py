@@ -96,6 +96,8 @@ def warehouse(seed: int, area_m2: float) -> Warehouse:
     first = _EDGE_M - 0.5 * _AISLE_M
     return Warehouse(
         world=site.world(seed),
-        aisles_m=first + pitch * np.arange(rows + 1),
-        crossings_m=_EDGE_M - 0.5 * _CROSSING_M + (block + _CROSSING_M) * np.arange(blocks + 1),
+        aisles_m=np.array([first + pitch * k for k in range(rows + 1)]),
+        crossings_m=np.array(
+            [_EDGE_M - 0.5 * _CROSSING_M + (block + _CROSSING_M) * j for j in range(blocks + 1)]
+        ),
     )

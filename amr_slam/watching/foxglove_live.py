@@ -110,7 +110,8 @@ class _Shown(ServerListener):
         came = self._maps.take(frames)
         again = (self._maps.of(frame) for frame in frames if f"/map/{frame}" in fresh)
         for one in {*came, *filter(None, again)}:
-            where = (one.pixels, one.metres_per_px, one.corner_m)
+            at = one.where
+            where = (one.pixels, at.metres_per_px, at.column_of_x0_px, at.row_of_y0_px)
             self._log(
                 f"/map/{one.frame}", foxglove.GRID, now_ns, foxglove.grid, now_ns, one.frame, *where
             )

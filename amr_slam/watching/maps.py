@@ -21,8 +21,6 @@ from amr_slam.wire import MapImage
 _log = logging.getLogger(__name__)
 
 _ANSWER_S: Final = 10.0
-_MOST_PIXELS: Final = 1_000_000
-"""Of a picture as it is shown; larger ones are made coarser, walls staying walls."""
 _MOST_READ: Final = 100_000_000
 _TRIES: Final = 3
 
@@ -35,9 +33,7 @@ class Pictured:
     """Name of the map."""
     pixels: NDArray[np.uint8]
     """(rows, columns): 0 a wall, above 250 floor, else unknown; the first row is the topmost."""
-    metres_per_px: float
-    corner_m: tuple[float, float]
-    """Its lower left."""
+    where: MapImage
 
 
 class MapPictures:
@@ -90,25 +86,4 @@ def pictured(frame: str, png: bytes, where: MapImage) -> Pictured:
     image = Image.open(io.BytesIO(png), formats=("PNG",))
     if image.size != (where.width_px, where.height_px) or image.width * image.height > _MOST_READ:
         raise ValueError(f"a picture of {image.width} x {image.height} pixels, not as it says")
-    pixels = np.asarray(image.convert("L"))
-    every = int(np.ceil(np.sqrt(pixels.size / _MOST_PIXELS)))
-    if every > 1:
-        pixels = _coarser(pixels, every)
-    rows = pixels.shape[0]
-    metres_per_px = every * where.metres_per_px
-    top_m = where.row_of_y0_px * where.metres_per_px
-    return Pictured(
-        frame=frame,
-        pixels=pixels,
-        metres_per_px=metres_per_px,
-        corner_m=(-where.column_of_x0_px * where.metres_per_px, top_m - rows * metres_per_px),
-    )
-
-
-def _coarser(pixels: NDArray[np.uint8], every: int) -> NDArray[np.uint8]:
-    """The darkest of each ``every`` by ``every`` pixels: a thin wall stays one."""
-    rows, columns = (-(-side // every) for side in pixels.shape)
-    room = np.full((rows * every, columns * every), 255, dtype=np.uint8)
-    room[: pixels.shape[0], : pixels.shape[1]] = pixels
-    blocks: NDArray[np.uint8] = room.reshape(rows, every, columns, every).min(axis=(1, 3))
-    return blocks
+    return Pictured(frame=frame, pixels=np.asarray(image.convert("L")), where=where)

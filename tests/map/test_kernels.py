@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amr_slam.map import carving, kernels
+from amr_slam.map import kernels, strokes
 from amr_slam.map.grid import SparseGrid
 from amr_slam.map.kernels import gaussian
 
@@ -39,10 +39,10 @@ def test_the_cells_that_rays_pass_agree_and_leave_out_where_any_ended() -> None:
     )
     low = np.floor(np.concatenate([ends, origins]).min(axis=0) / 0.1) - 1.0
     mine, twin = np.zeros((2, 200, 200), dtype=np.bool_)
-    carving._mark_loop(ends, origins, 0.2, 0.1, low, mine)
-    carving._mark_numpy(ends, origins, 0.2, 0.1, low, twin)
+    strokes._mark_loop(ends, origins, 0.2, 0.1, low, mine)
+    strokes._mark_numpy(ends, origins, 0.2, 0.1, low, twin)
     np.testing.assert_array_equal(mine, twin)
-    passed, ended = carving.carved(ends, origins, 0.2, grid)
+    passed, ended = strokes.carved(ends, origins, 0.2, grid)
     assert not np.isin(ended, passed).any()
     # On every ray that is long enough, the middle was passed, or another one ended there.
     far = np.hypot(*(ends - origins).T) > 0.5

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import math
 from itertools import pairwise
 
@@ -43,6 +44,21 @@ def test_a_map_can_be_rebuilt_at_other_poses() -> None:
     moved = grown.rebuilt([shift @ pose for _, pose in grown.path])
     back = shift.inverse() @ moved.target().points_m
     assert np.abs(room().clearance(back)).max() < 0.04
+
+
+def test_what_is_appended_is_drawn_once_when_it_is_asked_for() -> None:
+    rng, one, other = np.random.default_rng(0), PointMap(MapParams()), PointMap(MapParams())
+    for i, pose in enumerate(POSES):
+        cloud = cloud_at(room(), pose, rng, sigma_m=0.01, stamp_ns=i)
+        one.append(cloud, pose)
+        other.insert(pack(cloud).cloud(i, cloud.sigma_m), pose)
+    twin = copy.copy(one)
+    assert one.path == other.path == twin.path
+    for drawn in (twin, one):
+        np.testing.assert_array_equal(drawn.walls.keys, other.walls.keys)
+        np.testing.assert_allclose(drawn.walls.sums, other.walls.sums, atol=1e-9)
+        np.testing.assert_array_equal(drawn.space.keys, other.space.keys)
+        np.testing.assert_array_equal(drawn.space.sums, other.space.sums)
 
 
 def test_memory_is_bounded_and_the_oldest_of_near_scans_goes() -> None:

@@ -38,7 +38,7 @@ def add_foxglove(commands: Subparsers[Parser]) -> None:
         "the robots on Zenoh, live in Foxglove on this computer, until Ctrl-C",
         "amr-slam foxglove --connect tcp/192.168.1.20:7447 amr7",
         "In Foxglove: Open connection, Foxglove WebSocket, ws://localhost:8765. Only this computer "
-        "can connect, and only to look. Needs the extra: pip install 'amr-slam[foxglove]'.",
+        "can connect, and only to look. Needs foxglove-sdk: the extra 'foxglove'.",
     )
     add_session(live)
     live.add_argument("--port", type=port, default=8765, help="default 8765; 0: any free one")

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from amr_slam.cli.arguments.base import Parser, Subparsers, add_command
 from amr_slam.cli.arguments.values import (
+    cell,
     corner,
     count,
     finite,
@@ -42,16 +43,23 @@ def add_map(commands: Subparsers[Parser]) -> None:
         "into other programs' formats, by the file's ending",
         "amr-slam map export hall.amrmap --out hall.pgm",
         ".pgm: occupancy image with its YAML file beside it, for nav2's map server; .csv and .ply: "
-        "wall points with normals; .tum: the path of the scans that it is made of.",
+        "wall points with normals; .g2o: the pose graph; .tum: the path of the scans that it is "
+        "made of. Erased areas and drawn walls are in pictures and points, zones are not told.",
     )
     export.add_argument(
         "--out",
         metavar="FILE",
-        type=path_ending(".pgm", ".csv", ".ply", ".tum"),
+        type=path_ending(".pgm", ".csv", ".ply", ".g2o", ".tum"),
         required=True,
         help="what to write",
     )
     align, report = _add_align(actions), _add_report(actions)
+    export.add_argument(
+        "--resolution",
+        metavar="M",
+        type=cell,
+        help="side of a pixel of the .pgm (default: of a wall cell)",
+    )
     bring = add_command(
         actions,
         "import",

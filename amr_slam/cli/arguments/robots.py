@@ -84,6 +84,7 @@ def add_replay(commands: Subparsers[Parser]) -> None:
         help="let the map grow (default: only without --map; with it: go on with that map)",
     )
     add("--map-out", metavar="MAP", type=path_ending(".amrmap"), help="save the grown map")
+    add("--no-loops", action="store_true", help="close no loops of a new map: to see what they do")
     add(
         "--keep",
         metavar="N",

@@ -25,6 +25,14 @@ def finite(text: str, least: float = -math.inf) -> float:
     return number
 
 
+def cell(text: str) -> float:
+    """Side of a cell, a millimetre to 10 m."""
+    side_m = finite(text, least=0.001)
+    if side_m > 10.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is more than 10 m")
+    return side_m
+
+
 def count(text: str) -> int:
     """A number from 0 to 999."""
     if not (text.isdecimal() and len(text) <= 3):

@@ -1,4 +1,4 @@
-"""The cells that a scan's rays passed through, and those in which they ended."""
+"""What one scan adds to a map: points to its walls, rays to its space."""
 
 from __future__ import annotations
 
@@ -9,8 +9,35 @@ from amr_slam.compiled import ENABLED, jit
 from amr_slam.geometry import Array
 from amr_slam.map.grid import Keys, SparseGrid
 
+# Nearer than this, a point counts in full.
+_NEAR_M = 3.0
 _STEP = 0.7
 """Of a cell, along a ray."""
+
+
+def wall_values(points: Array, origins: Array, normals: Array, known: NDArray[np.bool_]) -> Array:
+    """(n, channels) what each point adds to its wall cell; ``known`` (n,): whether its
+    normal is."""
+    double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
+    sight = origins - points
+    reach = np.linalg.norm(sight, axis=1)
+    sight = sight / np.maximum(reach, 1e-9)[:, None]
+    values = np.stack(
+        [
+            np.ones(len(points)),
+            points[:, 0],
+            points[:, 1],
+            np.where(known, np.cos(double), 0.0),
+            np.where(known, np.sin(double), 0.0),
+            sight[:, 0],
+            sight[:, 1],
+        ],
+        axis=1,
+    )
+    # A near look at a wall outweighs a far one: its place and direction are known better.
+    values *= np.clip((_NEAR_M / np.maximum(reach, 1e-3)) ** 2, 0.02, 1.0)[:, None]
+    # ... but the noise of a point is the same at any distance.
+    return np.hstack([values, np.ones((len(points), 1))])
 
 
 def carved(
