@@ -99,8 +99,8 @@ class ClosingParams:
     """Least share of the scan that lies where the submap knows anything."""
     conflict: Annotated[float, Ge(0.0), Le(1.0)] = 0.12
     """Greatest share of it that stands where the submap saw free space,"""
-    passes: Annotated[float, Ge(0.0), Le(1.0)] = 0.3
-    """and of its beams that go through the submap's walls: places that look alike differ there."""
+    score: Annotated[float, Ge(0.0), Le(1.0)] = 0.5
+    """and least mean fit: places that look alike differ in their details."""
     weak_m: Annotated[float, Gt(0.0)] = 0.1
     """A place that is known no better than this (one standard deviation) along its worst direction
     is a corridor, and closes nothing."""

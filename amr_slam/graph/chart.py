@@ -53,7 +53,7 @@ class Chart:
         the map does not know how its scans are tied."""
         ties = known.ties
         steps = ties.ends[~ties.loops & (ties.ends == ties.starts + 1)]
-        if not len(steps) or len(np.unique(steps)) != len(known.path) - 1:
+        if len(np.unique(steps)) != len(known.path) - 1:
             return None
         chart = Chart(params)
         chart.poses = np.array([pose.as_array() for _, pose in known.path])

@@ -117,7 +117,8 @@ class Closing:
             return None
         off = expected.inverse() @ best.pose
         turn_rad = rules.turn_rad + rules.drift_radpm * reach_m
-        if np.hypot(off.x_m, off.y_m) > reach_m or abs(off.theta_rad) > turn_rad:
+        far_m = reach_m + self._params.grid_m
+        if np.hypot(off.x_m, off.y_m) > far_m or abs(off.theta_rad) > turn_rad:
             return None
         if best.known < rules.known or doubtful(best, rules):
             return None
@@ -170,8 +171,8 @@ def agree(one: Pose2, other: Pose2, within_m: float, within_rad: float) -> bool:
 
 
 def doubtful(found: Hypothesis, rules: ClosingParams) -> bool:
-    """Whether walls are missing or too many, or the place is a corridor, where the position along
-    its worst direction is known too little."""
+    """Whether walls are missing or too many, the fit is poor, or the place is a corridor, where the
+    position along its worst direction is known too little."""
     weakest = float(np.linalg.eigvalsh(found.alignment.information[:2, :2])[0])
     return (
         found.conflict > rules.conflict or found.passes > rules.passes or weakest < rules.weak_m**-2
