@@ -131,9 +131,10 @@ class DrivingRobot:
         self.poses: list[PoseMessage] = []
         """The newest few that went out."""
         self._course = course
-        self._start_m, self._speed_mps = start_m, speed_mps
+        self.speed_mps = speed_mps
+        self._way_m = start_m
         self._changes = dict(changes or {})
-        self._begun_s = time.monotonic()
+        self._begun_s = self._moved_s = time.monotonic()
         self._scanned_s = -math.inf
         self._told_s = -math.inf
         self._seq = 0
@@ -148,7 +149,9 @@ class DrivingRobot:
         """What is due now: a pose, and status and scan at their own rates."""
         now_s = time.monotonic()
         self._seq += 1
-        pose = self._course.pose(self._start_m + self._speed_mps * (now_s - self._begun_s))
+        self._way_m += self.speed_mps * (now_s - self._moved_s)
+        self._moved_s = now_s
+        pose = self._course.pose(self._way_m)
         message = self._pose(pose)
         self._publisher.publish_pose(message)
         self.poses = [*self.poses[-49:], message]
@@ -203,7 +206,7 @@ class DrivingRobot:
             x=pose.x_m,
             y=pose.y_m,
             theta=pose.theta_rad,
-            vx=self._speed_mps,
+            vx=self.speed_mps,
             omega=0.0,
             covariance=(xx, xy, 0.0, xy, yy, 0.0, 0.0, 0.0, 1e-4),
             error95_m=2.2 * sigma_m,
@@ -241,7 +244,7 @@ def troubled(course: Course) -> tuple[Mapping[str, Any], ...]:
         update={"link": "LOST", "age_s": 42.0, "rate_hz": 0.0, "detail": "no data for 42 s"}
     )
     other = course.pose(0.6 * course.length_m)
-    place = CandidatePart(x=other.x_m, y=other.y_m, theta=other.theta_rad, odds=0.31)
+    place = CandidatePart(x=other.x_m, y=other.y_m, theta=other.theta_rad, odds=0.38)
     return (
         {},
         {
