@@ -86,4 +86,4 @@ def wait_for(page: Page, expression: str, timeout_s: float = 120.0) -> None:
     while not read(page, f"window.amrSlam && ({expression})"):
         if time.monotonic() > deadline_s:
             raise TimeoutError(f"not within {timeout_s:g} s: {expression}")
-        page.wait_for_timeout(50.0)
+        page.wait_for_timeout(20.0)
