@@ -62,6 +62,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def measure(robots: int, hz: float, minutes: float) -> dict[str, Any]:
+    """The figures by what they are called."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     with ExitStack() as opened:
