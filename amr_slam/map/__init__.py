@@ -1,12 +1,19 @@
 """The point-cloud map: what was seen where, how it grows, and its file."""
 
 from amr_slam.map.file import MapError, load_map, save_map
+from amr_slam.map.layers import Edit, Layer, LayerError, LayerKind, Layers
 from amr_slam.map.moving import moved
 from amr_slam.map.pointmap import MapParams, PointMap
-from amr_slam.map.provenance import Reframing
+from amr_slam.map.provenance import Imported, Reframing
 from amr_slam.map.versions import LoadedMap, load_newest
 
 __all__ = [
+    "Edit",
+    "Imported",
+    "Layer",
+    "LayerError",
+    "LayerKind",
+    "Layers",
     "LoadedMap",
     "MapError",
     "MapParams",

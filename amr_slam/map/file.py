@@ -21,12 +21,13 @@ from numpy.typing import NDArray
 
 from amr_slam.durable import write_durably
 from amr_slam.geometry import Pose2
+from amr_slam.map import layers
 from amr_slam.map.pointmap import MapParams, PointMap
-from amr_slam.map.provenance import from_header, to_header
+from amr_slam.map.provenance import from_header, imported_from_header, to_header
 from amr_slam.map.rays import Rays, nothing
 
 MAGIC = b"AMRMAP\r\n"
-VERSION = 2
+VERSION = 3
 MAX_FILE_BYTES = 512 * 2**20
 MAX_CONTENT_BYTES = 2 * 2**30
 _MAX_HEADER_BYTES = 2**20
@@ -56,7 +57,7 @@ _ARRAYS = _ARRAYS_1 | {
 }
 # Walls are met at about 45 degrees: noise across them over noise along the beam.
 _TYPICAL_ACROSS = 0.7
-_LAYOUTS = {1: _ARRAYS_1, VERSION: _ARRAYS}
+_LAYOUTS = {1: _ARRAYS_1, 2: _ARRAYS, VERSION: _ARRAYS}
 
 
 class MapError(Exception):
@@ -101,7 +102,8 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
         np.ascontiguousarray(array, dtype=_ARRAYS[name][0]).tobytes()
         for name, array in arrays.items()
     )
-    map_id = uuid.uuid5(_NAMESPACE, hashlib.sha256(content).hexdigest())
+    drawn = layers.to_header(grown.layers) if grown.layers.everything else []
+    map_id = _identity(content, drawn)
     header: dict[str, Any] = {
         "version": VERSION,
         "uuid": str(map_id),
@@ -111,9 +113,20 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
     }
     if grown.reframings:
         header["reframings"] = to_header(grown.reframings)
+    if grown.imported is not None:
+        header["imported"] = asdict(grown.imported)
+    if drawn:
+        header["layers"] = drawn
     text = json.dumps(header, sort_keys=True).encode()
     body = MAGIC + _LENGTH.pack(len(text)) + text + zlib.compress(content, 6)
     return body + hashlib.sha256(body).digest(), map_id
+
+
+def _identity(content: bytes, drawn: list[dict[str, Any]]) -> uuid.UUID:
+    """Of what counts: a map without layers is the one that it was before there were any."""
+    told = hashlib.sha256(content)
+    told.update(json.dumps(drawn, sort_keys=True).encode() if drawn else b"")
+    return uuid.uuid5(_NAMESPACE, told.hexdigest())
 
 
 def load_map(path: Path) -> tuple[PointMap, uuid.UUID]:
@@ -207,6 +220,8 @@ def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, u
     grown = PointMap(_params(header["params"]), str(header["name"]))
     _fill(grown, arrays)
     grown.reframings = from_header(header.get("reframings", []))
+    grown.imported = imported_from_header(header.get("imported"))
+    grown.layers = layers.from_header(header.get("layers", []))
     return grown, uuid.UUID(str(header["uuid"]))
 
 

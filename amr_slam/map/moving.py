@@ -23,6 +23,7 @@ def moved(known: PointMap, new_from_old: Pose2) -> PointMap:
     _move_walls(known.walls, told.walls, fresh.walls, new_from_old)
     _move_space(known.space, told.space, fresh.space, new_from_old)
     fresh.path = [(stamp_ns, pose) for (stamp_ns, _), pose in zip(known.path, poses, strict=True)]
+    fresh.layers = known.layers.moved(new_from_old)
     fresh.noises_m, fresh.rays = list(known.noises_m), list(known.rays)
     fresh.revision += 1
     return fresh

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
+from amr_slam.map import effective
 from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
-from amr_slam.map.provenance import Reframing
+from amr_slam.map.layers import LayerKind, Layers
+from amr_slam.map.provenance import Imported, Reframing
 from amr_slam.map.rays import Rays, forget, pack
 from amr_slam.registration import field, rdnm
 from amr_slam.registration.alignment import Target
@@ -74,12 +76,17 @@ class PointMap:
         """What each of these scans saw; nothing where it was forgotten for the memory's sake."""
         self.reframings: tuple[Reframing, ...] = ()
         """How its frame became what it is, oldest first; none where a run's start is the origin."""
+        self.imported: Imported | None = None
+        """The picture that it began as, if another program made it."""
+        self.layers = Layers()
+        """What people have drawn over it. Changed by :meth:`edit` only."""
         self.revision = 0
-        """+1 with each insertion: what is derived from the map is valid for one revision."""
+        """+1 with each insertion and edit: what is derived from the map holds for one revision."""
         self._deconvolution: Deconvolution | None = None
         self._changed: tuple[Array, Array] | None = None  # corners of what it does not know yet
         self._latest: tuple[int, Target] | None = None
         self._whole: tuple[int, Target] | None = None
+        self._landmarks: tuple[int, Target] | None = None
         self._places: dict[tuple[float, float], tuple[int, Array]] = {}
         self._signatures: tuple[int, RdnmParams, Array, Packed] | None = None
         self._field: tuple[int, FieldParams, Field] | None = None
@@ -134,7 +141,8 @@ class PointMap:
         """A map of the same scans, each at its new pose: one for each scan of ``path``, in its
         order. What only a forgotten scan saw is not in it."""
         fresh = PointMap(self.params, self.name)
-        fresh.reframings = self.reframings
+        fresh.reframings, fresh.imported = self.reframings, self.imported
+        fresh.layers = self.layers
         scans = zip(self.path, self.noises_m, self.rays, poses, strict=True)
         for (stamp_ns, _), sigma_m, rays, pose in scans:
             if len(rays):
@@ -144,6 +152,11 @@ class PointMap:
                 fresh.noises_m.append(sigma_m)
                 fresh.rays.append(rays)
         return fresh
+
+    def edit(self, layers: Layers) -> None:
+        """Lay these over the map, in place of those that are there."""
+        self.layers = layers
+        self.revision += 1
 
     def move(self, poses: Sequence[Pose2]) -> None:
         """Become the map that :meth:`rebuilt` gives: whoever holds this one sees its scans move."""
@@ -193,14 +206,37 @@ class PointMap:
         """Noise of these scans' points across the walls: their median too."""
         return float(np.median([rays.across_m for rays in self.rays])) if self.rays else 0.0
 
+    @property
+    def error_m(self) -> float:
+        """How far its walls may lie from where it has them, all together: no scan tells that."""
+        return 0.0 if self.imported is None else self.imported.error_m
+
+    @property
+    def spacing_m(self) -> float:
+        """Distance of neighbouring points along a wall."""
+        return self.params.cell_m if self.imported is None else self.imported.resolution_m
+
+    def surfaces(self) -> Target:
+        """All walls, those in zones where nothing is a landmark included: the map for people."""
+        return self._whole_target()
+
     def target(self, centre: Pose2 | None = None, radius_m: float = _SIGHT_M) -> Target:
         """The wall points (all, or within ``radius_m`` of a pose) to register against.
 
         All of them come settled; near a pose, the walls of noisy scans are as good as the last
         scan left them, so that each scan costs little.
         """
-        if centre is None:
+        zones = self.layers.areas(LayerKind.ZONE)
+        if centre is not None:
+            near = self._near_target(centre, radius_m)
+            return effective.landmarks(near, zones) if zones else near
+        if not zones:
             return self._whole_target()
+        if self._landmarks is None or self._landmarks[0] != self.revision:
+            self._landmarks = self.revision, effective.landmarks(self._whole_target(), zones)
+        return self._landmarks[1]
+
+    def _near_target(self, centre: Pose2, radius_m: float) -> Target:
         if self._thins():
             latest = self._latest_target()
             near = _near(latest.points_m, centre, radius_m)
@@ -209,9 +245,13 @@ class PointMap:
             return replace(latest, points_m=points_m, normals=normals, free_m=free)
         near = _near(self.walls.centres(), centre, radius_m)
         free_m = self._free_cells()
-        return self._in_space(
+        found = self._in_space(
             self._plain(np.flatnonzero(near)), free_m[_near(free_m, centre, radius_m)]
         )
+        if not self.layers:
+            return found
+        near = _near(found.points_m, centre, radius_m)  # walls are drawn anywhere
+        return replace(found, points_m=found.points_m[near], normals=found.normals[near])
 
     def _thins(self) -> bool:
         """Whether walls are lines found in bands (noisy scans), or the cells' mean points."""
@@ -250,16 +290,15 @@ class PointMap:
 
     def _lines(self, ridges: Array) -> Target:
         here = ~self._vanished(ridges[:, :2])
-        return Target(
-            points_m=ridges[here, :2], normals=ridges[here, 2:], spacing_m=self.params.cell_m
-        )
+        return Target(points_m=ridges[here, :2], normals=ridges[here, 2:], spacing_m=self.spacing_m)
 
     def _free_cells(self) -> Array:
         """Centres (k, 2) of the cells that more rays passed than ended in."""
         return self.space.centres()[self.space.sums[:, 0] > self.space.sums[:, 1]]
 
     def _in_space(self, walls: Target, free_m: Array) -> Target:
-        return replace(walls, sigma_m=self.sigma_m, free_m=free_m, cell_m=self.space.cell_m)
+        there = replace(walls, sigma_m=self.sigma_m, free_m=free_m, cell_m=self.space.cell_m)
+        return effective.edited(there, self.layers) if self.layers else there
 
     def _plain(self, rows: NDArray[np.intp]) -> Target:
         """The mean points of these wall cells."""
@@ -276,7 +315,7 @@ class PointMap:
         return Target(
             points_m=points,
             normals=np.where(agreed[:, None], normals, 0.0),
-            spacing_m=self.params.cell_m,
+            spacing_m=self.spacing_m,
         )
 
     def _vanished(self, points: Array) -> NDArray[np.bool_]:
@@ -321,7 +360,7 @@ class PointMap:
         places = self.places(spacing_m, robot_radius_m)
         cached = self._signatures
         if cached is None or cached[:2] != (self.revision, params) or cached[2] is not places:
-            walls = self._whole_target()
+            walls = self.target()
             h = rdnm.of_map(walls, places, params)
             cached = self._signatures = (self.revision, params, places, h)
         return cached[2], cached[3]
@@ -330,7 +369,7 @@ class PointMap:
         """The walls' likelihood field, computed once per revision."""
         cached = self._field
         if cached is None or cached[:2] != (self.revision, params):
-            built = field.build(self._whole_target(), params)
+            built = field.build(self.target(), params)
             cached = self._field = (self.revision, params, built)
         return cached[2]
 
@@ -340,9 +379,10 @@ class PointMap:
 
     def bounds(self) -> tuple[float, float, float, float]:
         """(x_min, y_min, x_max, y_max) of the walls in m; zeros for an empty map."""
-        if not len(self.walls):
+        drawn = [one.corners_m for one in self.layers.active if one.kind is LayerKind.WALL]
+        centres = np.concatenate([self.walls.centres(), *drawn])
+        if not len(centres):
             return 0.0, 0.0, 0.0, 0.0
-        centres = self.walls.centres()
         low, high = centres.min(axis=0), centres.max(axis=0)
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 

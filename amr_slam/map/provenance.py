@@ -12,6 +12,7 @@ from amr_slam.geometry import Pose2
 MAX_REFRAMINGS: Final = 16
 """A map's file tells the last ones; its header is bounded."""
 _MAX_TEXT: Final = 200
+_MAX_ERROR_M: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +39,31 @@ class Reframing:
     @property
     def site_from_map(self) -> Pose2:
         return Pose2(self.x_m, self.y_m, self.theta_rad)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Imported:
+    """A map began as another program's picture."""
+
+    source: str
+    """The picture's name."""
+    resolution_m: float
+    """Side of its pixels."""
+    error_m: float
+    """How far the walls may lie from where the picture has them."""
+
+
+def imported_from_header(raw: object) -> Imported | None:
+    """What :func:`asdict` made of it, or None. Raises ValueError, TypeError or KeyError."""
+    if raw is None:
+        return None
+    known = {field.name: raw[field.name] for field in fields(Imported)}  # type: ignore[index]
+    source, numbers = known["source"], [known["resolution_m"], known["error_m"]]
+    if not (isinstance(source, str) and len(source) <= _MAX_TEXT) or not all(
+        type(number) in {int, float} and 0.0 < number <= _MAX_ERROR_M for number in numbers
+    ):
+        raise ValueError("where a map was imported from must be told in a text and lengths in m")
+    return Imported(**known)
 
 
 def to_header(reframings: Sequence[Reframing]) -> list[dict[str, Any]]:

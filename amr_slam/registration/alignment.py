@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from amr_slam.areas import Area
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.registration import lookup
 
@@ -36,6 +37,9 @@ class Target:
     """(k, 2) centres of the cells that rays have passed, walls excepted."""
     cell_m: float = 0.1
     """Side of these cells."""
+    zones: tuple[Area, ...] = ()
+    """Where nothing is a landmark: the target knows nothing there, and what a scan sees there is
+    left out."""
 
     def __post_init__(self) -> None:
         order = np.argsort(self.points_m[:, 0], kind="stable")
