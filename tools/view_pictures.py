@@ -42,10 +42,10 @@ def main() -> int:
         tempfile.TemporaryDirectory() as folder,
         program("router", endpoint),
         program("driving", endpoint, folder, *scene),
-        view_process(endpoint, ["--allow-commands"]) as address,
+        view_process(endpoint, ["--allow-commands"]) as view,
         browser() as opened,
     ):
-        pages = {name: _open(opened, address, options) for name, options in PICTURES.items()}
+        pages = {name: _open(opened, view.address, options) for name, options in PICTURES.items()}
         first = next(iter(pages.values()))
         first.wait_for_timeout(1000.0 * arguments.seconds)
         for name, page in pages.items():

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Any, Final
 
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -38,9 +39,18 @@ def browser() -> Iterator[Browser]:
             opened.close()
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class View:
+    """``amr-slam view``, under way."""
+
+    address: str
+    """As it prints it: with the token for commands, where it made one."""
+    process: subprocess.Popen[str]
+
+
 @contextmanager
-def view_process(endpoint: str, arguments: Sequence[str] = ()) -> Iterator[str]:
-    """``amr-slam view`` on a free port; yields the address that it prints."""
+def view_process(endpoint: str, arguments: Sequence[str] = ()) -> Iterator[View]:
+    """``amr-slam view`` on a free port."""
     command = [sys.executable, "-m", "amr_slam", "view", "--connect", endpoint, "--port", "0"]
     process = subprocess.Popen([*command, *arguments], stdout=subprocess.PIPE, text=True)
     try:
@@ -52,7 +62,7 @@ def view_process(endpoint: str, arguments: Sequence[str] = ()) -> Iterator[str]:
         address = process.stdout.readline().strip()
         if not address:
             raise RuntimeError("amr-slam view: ended")
-        yield address
+        yield View(address=address, process=process)
     finally:
         process.terminate()
         try:
@@ -76,4 +86,4 @@ def wait_for(page: Page, expression: str, timeout_s: float = 120.0) -> None:
     while not read(page, f"window.amrSlam && ({expression})"):
         if time.monotonic() > deadline_s:
             raise TimeoutError(f"not within {timeout_s:g} s: {expression}")
-        page.wait_for_timeout(50.0)
+        page.wait_for_timeout(20.0)

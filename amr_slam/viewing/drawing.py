@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import base64
 import json
-import resource
 import struct
 from typing import Final
 
@@ -19,21 +18,12 @@ from amr_slam.map.file import decode
 MAX_POINTS: Final = 120_000
 """What a browser draws in a frame or two; more are thinned evenly."""
 _MAX_PIXELS: Final = 4_000_000
-_MAX_MEMORY_BYTES: Final = 3 * 2**30
-
-
-class DrawingError(Exception):
-    """The bytes are no map that can be drawn: one line."""
-
-
-def limit() -> None:
-    """For the process: no more memory than a map takes, however much its bytes would unfold to."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
 
 
 def drawn(data: bytes) -> bytes:
     """For the page: the length of a JSON header (u32, little endian), the header, and the wall
-    points as float32 (n, 2) in m. The header has the floor as a PNG. Raises DrawingError."""
+    points as float32 (n, 2) in m. The header has the floor as a PNG. Raises
+    ValueError, one line, for bytes that are no map, or none that can be drawn."""
     try:
         known, map_id = decode(data)
         walls = thinned(known.target().points_m.astype("<f4"))
@@ -48,9 +38,7 @@ def drawn(data: bytes) -> bytes:
             "floor": _floor(known),
         }
     except MapError as error:
-        raise DrawingError(str(error)) from error
-    except (MemoryError, OverflowError) as error:
-        raise DrawingError("the map needs more memory than a map may take") from error
+        raise ValueError(str(error)) from error
     text = json.dumps(header).encode()
     text += b" " * (-len(text) % 4)
     return struct.pack("<I", len(text)) + text + walls.tobytes()

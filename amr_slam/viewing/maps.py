@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import importlib
 import multiprocessing
+import resource
 from collections import OrderedDict
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -11,11 +13,12 @@ from functools import partial
 from typing import Final
 
 from amr_slam.client import AskingError, FleetListener, ask_map
-from amr_slam.viewing.drawing import DrawingError, drawn, limit
 
 _KEPT: Final = 4
 _ASK_S: Final = 30.0
 _DRAW_S: Final = 60.0
+_MAX_MEMORY_BYTES: Final = 3 * 2**30
+"""Of the process that draws: a few hundred kilobytes may unfold to gigabytes."""
 _Key = tuple[str, int]
 """UUID of a map, and its version."""
 
@@ -61,14 +64,17 @@ class Maps:
     async def _draw(self, robot: str, data: bytes) -> bytes:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=limit
+                1, multiprocessing.get_context("spawn"), initializer=_limit
             )
-        work = partial(drawn, data)
+        work = partial(_drawn, data)
         try:
             running = asyncio.get_running_loop().run_in_executor(self._pool, work)
             return await asyncio.wait_for(running, _DRAW_S)
-        except DrawingError as error:
+        except ValueError as error:
             raise MapsError(f"{robot}: its map cannot be drawn: {error}") from error
+        except MemoryError as error:
+            self._end()  # what is left of its memory serves no other map
+            raise MapsError(f"{robot}: its map needs more memory than one may take") from error
         except TimeoutError as error:
             self._end()
             raise MapsError(f"{robot}: its map takes more than {_DRAW_S:g} s to draw") from error
@@ -89,3 +95,14 @@ class Maps:
     def close(self) -> None:
         """Idempotent."""
         self._end()
+
+
+def _limit() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
+
+
+def _drawn(data: bytes) -> bytes:
+    """In the process that draws: it alone needs what knows maps."""
+    drawing = importlib.import_module("amr_slam.viewing.drawing")
+    packed: bytes = drawing.drawn(data)
+    return packed

@@ -50,6 +50,7 @@ _WELL: Final = HealthPart(link="OK", age_s=0.04, rate_hz=12.5, samples=1000, err
 _MAP_EVERY_M: Final = 2.5
 _SCAN_POINTS: Final = 360
 _SCANS_EVERY_S: Final = 0.5
+_KEPT_POSES: Final = 300
 _LABORATORY_M2: Final = 250.0
 
 Answer = Callable[[Asked], None]
@@ -120,27 +121,26 @@ class DrivingRobot:
         *,
         start_m: float,
         connect: Sequence[str] = (),
-        listen: Sequence[str] = (),
-        fleet_every: int = 1,
         speed_mps: float = 0.6,
         answer: Answer | None = None,
         changes: Mapping[str, Any] | None = None,
+        scans: bool = True,
     ) -> None:
         """``answer``: does commands; ``changes``: of what its messages would say otherwise."""
         self.name = name
         self.poses: list[PoseMessage] = []
         """The newest few that went out."""
         self._course = course
-        self._start_m, self._speed_mps = start_m, speed_mps
+        self.speed_mps = speed_mps
+        self.way_m = start_m
         self._changes = dict(changes or {})
-        self._begun_s = time.monotonic()
-        self._scanned_s = -math.inf
+        self._begun_s = self._moved_s = time.monotonic()
+        self._scanned_s = -math.inf if scans else math.inf
         self._told_s = -math.inf
         self._seq = 0
         self._answer_command = answer
         self._publisher = RobotPublisher(
-            ZenohSettings(listen=tuple(listen), connect=tuple(connect), fleet_every=fleet_every),
-            name,
+            ZenohSettings(listen=(), connect=tuple(connect), fleet_every=1), name
         )
         self._publisher.serve(self._answer)
 
@@ -148,10 +148,12 @@ class DrivingRobot:
         """What is due now: a pose, and status and scan at their own rates."""
         now_s = time.monotonic()
         self._seq += 1
-        pose = self._course.pose(self._start_m + self._speed_mps * (now_s - self._begun_s))
+        self.way_m += self.speed_mps * (now_s - self._moved_s)
+        self._moved_s = now_s
+        pose = self._course.pose(self.way_m)
         message = self._pose(pose)
         self._publisher.publish_pose(message)
-        self.poses = [*self.poses[-49:], message]
+        self.poses = [*self.poses[1 - _KEPT_POSES :], message]
         if now_s - self._told_s >= 1.0:
             self._told_s = now_s
             self._publisher.publish_status(self._status())
@@ -203,7 +205,7 @@ class DrivingRobot:
             x=pose.x_m,
             y=pose.y_m,
             theta=pose.theta_rad,
-            vx=self._speed_mps,
+            vx=self.speed_mps,
             omega=0.0,
             covariance=(xx, xy, 0.0, xy, yy, 0.0, 0.0, 0.0, 1e-4),
             error95_m=2.2 * sigma_m,
@@ -241,7 +243,7 @@ def troubled(course: Course) -> tuple[Mapping[str, Any], ...]:
         update={"link": "LOST", "age_s": 42.0, "rate_hz": 0.0, "detail": "no data for 42 s"}
     )
     other = course.pose(0.6 * course.length_m)
-    place = CandidatePart(x=other.x_m, y=other.y_m, theta=other.theta_rad, odds=0.31)
+    place = CandidatePart(x=other.x_m, y=other.y_m, theta=other.theta_rad, odds=0.38)
     return (
         {},
         {
@@ -264,6 +266,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--hz", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--area", metavar="M2", type=float, default=200.0)
+    parser.add_argument("--scanning", type=int, help="so many of them tell scans (default: all)")
     parser.add_argument("--scene", action="store_true", help="with robots that need a look")
     arguments = parser.parse_args(argv)
     course = Course.laid(arguments.folder, seed=arguments.seed, area_m2=arguments.area)
@@ -277,6 +280,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                     start_m=course.length_m * number / (arguments.of or arguments.count),
                     connect=(arguments.endpoint,),
                     changes=changes[number] if number < len(changes) else {},
+                    scans=arguments.scanning is None or number < arguments.scanning,
                 )
             )
             for number in range(arguments.first, arguments.first + arguments.count)

@@ -248,7 +248,7 @@ onPaletteChange(() => {
   refresh();
 });
 
-window.amrSlam = { store, camera, layer, choose, drawn, mode: () => mode }; // to be read in the console, and by tests
+window.amrSlam = { store, camera, layer, link, choose, drawn, mode: () => mode }; // to be read in the console, and by tests
 link.open();
 setInterval(panels, PANELS_MS);
 draw();

@@ -49,7 +49,7 @@ function drawTrail(ctx, camera, store, { name, state, pose }, palette, until, ma
 function drawScan(ctx, camera, store, { robot, state }, palette) {
   const { scan } = robot;
   if (!scan || scan.map !== store.map || performance.now() - scan.heard > SCAN_MS) return;
-  const side = robot.robot === store.selected ? 4 : 3;
+  const side = robot.robot === store.selected ? 3.4 : 2.6;
   ctx.fillStyle = palette.scan;
   ctx.globalAlpha = SURE.has(state) ? 0.9 : 0.5;
   for (const [x, y] of scan.points) {
@@ -83,6 +83,8 @@ function drawCandidates(ctx, camera, { robot, state, pose }, palette) {
   const colour = palette.states.ambiguous;
   for (const place of candidates) {
     const [px, py] = camera.toScreen(place.x, place.y);
+    drawText(ctx, `${Math.round(100 * place.odds)} % here`, px, py + 28, palette, { align: "center", colour, weight: 600 });
+    if (Math.hypot(px - from[0], py - from[1]) < 12) continue; // where the pose is
     ctx.strokeStyle = colour;
     ctx.lineWidth = 1.5;
     ctx.setLineDash([6, 5]);
@@ -96,7 +98,6 @@ function drawCandidates(ctx, camera, { robot, state, pose }, palette) {
     ctx.globalAlpha = 0.55;
     drawGlyph(ctx, "ambiguous", -place.theta, 11, colour, palette.ground);
     ctx.restore();
-    drawText(ctx, `${Math.round(100 * place.odds)} % here?`, px, py + 27, palette, { align: "center", colour, weight: 600 });
   }
 }
 

@@ -48,7 +48,8 @@ export class Timeline {
       ctx.fillStyle = palette.states[state];
       // Height tells the state, too: what is to be driven by is low.
       const k = STATES[state].rank >= 7 ? 0.45 : STATES[state].rank >= 5 ? 0.7 : 1;
-      ctx.fillRect(left, bar.top + (1 - k) * bar.height, Math.max(1, px(end) - left), k * bar.height);
+      const right = now - end < 2 ? width : px(end); // still so
+      ctx.fillRect(left, bar.top + (1 - k) * bar.height, Math.max(1, right - left), k * bar.height);
     }
     ctx.fillStyle = palette.quiet;
     ctx.font = "11px system-ui, sans-serif";
