@@ -13,8 +13,6 @@ import numpy as np
 
 from amr_slam.aligning import AlignError
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
-from amr_slam.commissioning.making import NothingToReport
-from amr_slam.config import ConfigError
 from amr_slam.map import MapError, PointMap, load_map
 from amr_slam.map.export import write_occupancy, write_points_csv, write_points_ply
 from amr_slam.map.file import VERSION
@@ -23,8 +21,6 @@ from amr_slam.recording import RecordingError, Trajectory, write_tum
 
 FAILURES: Final[dict[type[Exception], int]] = {
     UsageError: 2,
-    ConfigError: 2,
-    NothingToReport: 1,
     MapError: 1,
     AlignError: 1,
     RecordingError: 1,

@@ -60,8 +60,8 @@ def _add_report(actions: Subparsers[Parser]) -> Parser:
         "report",
         "what it is good for: coverage, accuracy, look-alikes, and what to do about them",
         "amr-slam map report hall.amrmap --config robot.toml --out hall.html",
-        "One HTML page that loads nothing from outside; print it for a PDF. The robot's search is run "
-        "at many simulated poses: some minutes for a large hall. docs/map-report.md.",
+        "One HTML page that loads nothing from outside; print it for a PDF. The robot's search is "
+        "run at many simulated poses: some minutes for a large hall. docs/map-report.md.",
     )
     add = report.add_argument
     add(
