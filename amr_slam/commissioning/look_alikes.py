@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from scipy.spatial.distance import cdist
 
 from amr_slam.commissioning.cold_starts import ColdStart, Outcome
 from amr_slam.geometry import Array, Pose2
@@ -67,8 +66,8 @@ class Pair:
 
 
 def pairs(tried: Sequence[ColdStart], reach_m: float) -> tuple[Pair, ...]:
-    """Confusions that begin within ``reach_m`` of each other and end so, too, are one pair; it
-    does not matter which of its areas the robot stands in. The largest first."""
+    """Confusions that begin within about ``reach_m`` of one of them and end so, too, are one pair;
+    it does not matter which of its areas the robot stands in. The largest first."""
     confused = [
         (start, rival)
         for start in tried
@@ -112,25 +111,26 @@ def _letters(number: int) -> str:
 def _grouped(here: Array, there: Array, reach_m: float) -> tuple[Rows, NDArray[np.bool_]]:
     """(n,) number of each confusion's group, and (n,) whether it begins in its second area.
 
-    Each confusion stands for two nodes of a graph, one for each way round.
+    Time and again, the confusion with most others around both its ends takes them. Chains of
+    neighbours would not do: they run through a symmetric hall until both areas are all of it.
     """
     n = len(here)
     begin, end = np.concatenate([here, there]), np.concatenate([there, here])
-    rows, columns = [], []
-    for row in range(2 * n):
-        near = np.hypot(*(begin - begin[row]).T) <= reach_m
-        near &= np.hypot(*(end - end[row]).T) <= reach_m
-        found = np.flatnonzero(near)
-        rows.append(np.full(len(found), row))
-        columns.append(found)
-    i, j = np.concatenate(rows), np.concatenate(columns)
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(2 * n, 2 * n))
-    labels = connected_components(graph, directed=False)[1]
-    plain, turned = labels[:n], labels[n:]
-    # Both ways round are one group, called by the lesser number.
-    least = np.minimum(plain, turned)
-    _, groups = np.unique(least, return_inverse=True)
-    return np.asarray(groups), np.asarray(plain > turned)
+    # Each confusion stands for two rows, one for each way round.
+    near = cdist(here, begin) + cdist(there, end)
+    plain, turned = near[:, :n], near[:, n:]
+    swapped, off = turned < plain, np.minimum(plain, turned)
+    together = off <= 2.0 * reach_m
+    groups = np.full(n, -1, dtype=np.intp)
+    ways = np.zeros(n, dtype=np.bool_)
+    number = 0
+    while np.any(groups < 0):
+        free = groups < 0
+        middle = int(np.argmax(np.where(free, (together & free).sum(axis=1), -1)))
+        mine = together[middle] & free
+        groups[mine], ways[mine] = number, swapped[middle, mine]
+        number += 1
+    return groups, ways
 
 
 def _middle(points: Array) -> Array:

@@ -26,7 +26,8 @@ from amr_slam.params import SlamParams
 Say = Callable[[str, float | None], None]
 """Told the step that is under way, and the share of it that is done where that is known."""
 
-_LEAST_REACH_M = 1.5
+# Areas of a pair are about as large as a room.
+_LEAST_REACH_M = 4.0
 
 
 class ReportError(Exception):

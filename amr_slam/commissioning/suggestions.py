@@ -10,8 +10,8 @@ import numpy as np
 
 from amr_slam.commissioning.boxes import (
     PALLET_BOX,
-    PARTITION,
     POST,
+    TWO_BOXES,
     Box,
     Shape,
     candidates,
@@ -148,7 +148,7 @@ def _resolution(trials: Trials, pair: Pair) -> Resolution:
         pair=pair, box=None, tried=0, poses=len(everyone), before=resolved, resolved=resolved,
         located=located,
     )  # fmt: skip
-    for shape in (PALLET_BOX, PARTITION):
+    for shape in (PALLET_BOX, TWO_BOXES):
         if best.resolved >= _PLENTY * best.poses:
             break
         boxes = _worth_trying(trials, pair, shape)
@@ -168,8 +168,10 @@ def _resolution(trials: Trials, pair: Pair) -> Resolution:
 
 
 def _worth_trying(trials: Trials, pair: Pair, shape: Shape) -> list[Box]:
-    poses = [one.start.truth for one in evenly(pair.confused, trials.params.poses_a_box)]
-    places = np.array([pose.translation for pose in poses])
+    poses = [
+        (one.start.truth, one.rivals[0]) for one in evenly(pair.confused, trials.params.poses_a_box)
+    ]
+    places = np.array([pose.translation for several in poses for pose in several])
     found = candidates(trials.known, places, _REACH_M, shape, trials.passage_m)
     found = ranked(found, trials.known.target(), trials.eyes, poses, trials.slam.clouds)
     return spread(found, trials.params.boxes_tried, _APART_M)
@@ -198,7 +200,9 @@ def anchor(trials: Trials, found: Precision, weakness: Weakness) -> Anchor:
     near = found.places_m[chosen]
     boxes = candidates(trials.known, near, _REACH_M, POST, trials.passage_m)
     target = trials.known.target()
-    boxes = ranked(boxes, target, trials.eyes, evenly(poses, 12), trials.slam.clouds)
+    boxes = ranked(
+        boxes, target, trials.eyes, [(pose,) for pose in evenly(poses, 12)], trials.slam.clouds
+    )
     boxes = spread(boxes, trials.params.boxes_tried, 2.0 * _APART_M)
     best, least = None, None
     for one in boxes:
