@@ -16,8 +16,6 @@ from amr_slam.aligning import AlignError
 from amr_slam.cli import living
 from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
-from amr_slam.commissioning.making import NothingToReport
-from amr_slam.config import ConfigError
 from amr_slam.map import LayerError, MapError, PointMap, load_map, save_map
 from amr_slam.map.export import (
     write_graph,
@@ -31,8 +29,6 @@ from amr_slam.recording import RecordingError, Trajectory, write_tum
 
 FAILURES: Final[dict[type[Exception], int]] = {
     UsageError: 2,
-    ConfigError: 2,
-    NothingToReport: 1,
     MapError: 1,
     LayerError: 1,
     AlignError: 1,

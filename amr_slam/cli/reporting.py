@@ -10,16 +10,17 @@ import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
+from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from amr_slam.cli.outputs import check_outputs, writing
-from amr_slam.commissioning import Eye, ReportParams, make_report, usual_eyes
+from amr_slam.cli.outputs import UsageError, check_outputs, writing
+from amr_slam.commissioning import Eye, ReportError, ReportParams, make_report, usual_eyes
 from amr_slam.commissioning.about import About
 from amr_slam.commissioning.machine import facts
 from amr_slam.commissioning.page import page
-from amr_slam.config import Config, load
-from amr_slam.map import load_map
+from amr_slam.config import Config, ConfigError, load
+from amr_slam.map import MapError, load_map
 from amr_slam.map.file import VERSION
 from amr_slam.params import SlamParams
 from amr_slam.simulation import SCANNERS
@@ -32,14 +33,17 @@ _PERIOD_S: Final = 0.2
 def report(arguments: argparse.Namespace) -> int:
     """Look at the map as its robot would; page and JSON. Raises what ``maps.FAILURES`` names."""
     check_outputs(arguments.out, arguments.json, source=arguments.map)
-    config = load(arguments.config) if arguments.config is not None else None
+    config = _config(arguments.config)
     known, map_id = load_map(arguments.map)
     params = ReportParams(seed=arguments.seed)
     if arguments.poses is not None:
         params = replace(params, cold_starts=arguments.poses, suspects=arguments.poses // 3)
     slam = config.slam if config is not None else SlamParams()
     with _Steps() as steps:
-        found = make_report(known, _eyes(config), slam, params, steps.say)
+        try:
+            found = make_report(known, _eyes(config), slam, params, steps.say)
+        except ReportError as error:
+            raise MapError(f"{arguments.map}: {error}") from error
         steps.say("page", None)
         about = About(
             map_id=str(map_id),
@@ -58,6 +62,13 @@ def report(arguments: argparse.Namespace) -> int:
             out.write_text(json.dumps(facts(found, about), allow_nan=False) + "\n", "utf-8")
     sys.stdout.write(f"{arguments.out}\n")
     return 0
+
+
+def _config(file: Path | None) -> Config | None:
+    try:
+        return None if file is None else load(file)
+    except ConfigError as error:
+        raise UsageError(str(error)) from error
 
 
 def _eyes(config: Config | None) -> tuple[Eye, ...]:

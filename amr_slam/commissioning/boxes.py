@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import copy
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from amr_slam.clouds import CloudParams
@@ -17,10 +18,14 @@ from amr_slam.map import PointMap
 from amr_slam.registration.alignment import Target
 from amr_slam.registration.casting import ranges
 from amr_slam.simulation.casting import cast
-from amr_slam.simulation.shapes import along_edges, box, edges
+from amr_slam.simulation.shapes import box, edges
 
 # Between the wall and what stands at it.
 _GAP_M = 0.03
+# So far behind it, a wall is hidden.
+_HIDDEN_M = 0.3
+# The robot's middle passed no nearer to it than this.
+_DRIVEN_M = 0.35
 # A corner is where another wall stands within this.
 _CORNER_M = 1.2
 _CORNER_BONUS = 1.25
@@ -41,8 +46,8 @@ class Shape:
 
 PALLET_BOX = Shape(name="box", width_m=1.2, depth_m=0.8)
 """A pallet box, or a cabinet of that size."""
-PARTITION = Shape(name="partition", width_m=2.4, depth_m=0.3)
-"""A partition wall, or a row of cabinets."""
+TWO_BOXES = Shape(name="row of two boxes", width_m=2.4, depth_m=0.8)
+"""Or anything else of that size."""
 POST = Shape(name="post", width_m=0.4, depth_m=0.3)
 """A narrow cabinet, or a post."""
 
@@ -62,12 +67,18 @@ class Box:
         """(4, 2) in the map."""
         return self.pose @ box(self.shape.width_m, self.shape.depth_m)
 
+    def within(self, points_m: Array, margin_m: float) -> NDArray[np.bool_]:
+        """(n,) whether points (n, 2) of the map lie in it or this near to its sides."""
+        x, y = np.abs((self.pose.inverse() @ points_m).T)
+        half_m = 0.5 * self.shape.width_m + margin_m, 0.5 * self.shape.depth_m + margin_m
+        return np.asarray((x < half_m[0]) & (y < half_m[1]))
+
 
 def candidates(
     known: PointMap, near_m: Array, reach_m: float, shape: Shape, passage_m: float
 ) -> list[Box]:
     """Places for it at walls within ``reach_m`` of some of the points (n, 2) ``near_m``, which
-    leave ``passage_m`` before it."""
+    leave ``passage_m`` before it and are not where the robot drove when it made the map."""
     target = known.target()
     faced = np.any(target.normals != 0.0, axis=1)
     points, normals = target.points_m[faced], target.normals[faced]
@@ -79,16 +90,15 @@ def candidates(
         return []
     chosen, _ = thinned(points, max(40, len(points) // 10), target.spacing_m)
     normals = normals[cKDTree(points).query(chosen)[1]]
-    found = []
-    for point, normal in zip(chosen, normals, strict=True):
-        one = _at_wall(known, target, point, normal, shape, passage_m)
-        if one is not None:
-            found.append(one)
-    return found
+    driven = np.array([pose.translation for _, pose in known.path]).reshape(-1, 2)
+    tried = (
+        _at_wall(target, point, normal, shape, passage_m)
+        for point, normal in zip(chosen, normals, strict=True)
+    )
+    return [one for one in tried if one is not None and not one.within(driven, _DRIVEN_M).any()]
 
 
 def _at_wall(
-    known: PointMap,
     target: Target,
     point: Array,
     normal: Array,
@@ -104,7 +114,7 @@ def _at_wall(
         return None
     # Nothing stands in it, and there is room to pass.
     inner = pose @ _filled(shape, 0.1)
-    if np.any(known.target().tree.query(inner[:, :2])[0] < 0.05 * shape.depth_m):
+    if np.any(target.tree.query(inner[:, :2])[0] < 0.05 * shape.depth_m):
         return None
     ahead = ranges(target, front, np.broadcast_to(normal, front.shape).copy(), 30.0)
     if float(ahead.min()) < passage_m:
@@ -127,13 +137,29 @@ def ranked(
     boxes: Sequence[Box],
     target: Target,
     eyes: Sequence[Eye],
-    poses: Sequence[Pose2],
+    poses: Sequence[Sequence[Pose2]],
     params: CloudParams,
 ) -> list[Box]:
     """By how much of the scans at these poses they would be, most first; without those that no
-    pose sees."""
+    pose sees. Of several poses that stand for one, that which sees most counts: a box tells two
+    places apart for a robot in either."""
     gains = np.zeros(len(boxes))
-    for pose in poses:
+    for several in poses:
+        gains += np.max([_gains(boxes, target, eyes, pose, params) for pose in several], axis=0)
+    order = np.argsort(-gains, kind="stable")
+    return [boxes[row] for row in order if gains[row] > 0.0]
+
+
+def _gains(
+    boxes: Sequence[Box],
+    target: Target,
+    eyes: Sequence[Eye],
+    pose: Pose2,
+    params: CloudParams,
+) -> Array:
+    """(n,) share of the scan's surface at a pose that each box would be."""
+    gains = np.zeros(len(boxes))
+    if boxes:
         rays = [eye.rays(pose) for eye in eyes]
         origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
         to_wall = ranges(target, origins, directions, params.range_max_m)
@@ -147,9 +173,8 @@ def ranked(
             to_box = cast(origins, angles, edges(one.corners_m))
             met = to_box < to_wall - 0.05
             share = float(np.minimum(to_box[met] * steps[met] / 0.05, 1.0).sum()) / whole
-            gains[row] += min(share, _ENOUGH) * (_CORNER_BONUS if one.corner else 1.0)
-    order = np.argsort(-gains, kind="stable")
-    return [boxes[row] for row in order if gains[row] > 0.0]
+            gains[row] = min(share, _ENOUGH) * (_CORNER_BONUS if one.corner else 1.0)
+    return gains
 
 
 def spread(boxes: Sequence[Box], most: int, apart_m: float) -> list[Box]:
@@ -164,43 +189,45 @@ def spread(boxes: Sequence[Box], most: int, apart_m: float) -> list[Box]:
 
 
 def with_box(known: PointMap, one: Box) -> PointMap:
-    """The map of the same place with the box in it, as a robot would have mapped it. The map
-    itself stays as it is; the copy has no rays, and is good for localization only."""
+    """The map of the same place with the box in it, as a robot would have mapped it: its front and
+    sides are seen, and what it hides is not. The map itself stays as it is; the copy has no rays of
+    the box, and is good for localization only."""
     after = PointMap(known.params, known.name)
-    after.walls, after.space = copy.copy(known.walls), copy.copy(known.space)
-    after.walls.sums, after.space.sums = known.walls.sums.copy(), known.space.sums.copy()
     after.path, after.noises_m, after.rays = known.path, known.noises_m, known.rays
-    inside = one.pose @ _filled(one.shape, 0.5 * known.space.cell_m)
-    cells = after.space.find(np.unique(after.space.keys_of(inside)))
-    after.space.sums[cells[cells >= 0]] = 0.0
-    corners = one.corners_m
-    border = along_edges(corners, 0.5 * known.walls.cell_m)
-    out = border - one.pose.translation
-    local = out @ one.pose.rotation
-    # Which side a point is on: a box is as wide as it is, and as deep.
+    after.reframings = known.reframings
     half = 0.5 * np.array([one.shape.width_m, one.shape.depth_m])
-    across_x = np.abs(local[:, 0]) / half[0] >= np.abs(local[:, 1]) / half[1]
-    normal = (
-        np.where(
-            across_x[:, None],
-            np.column_stack([np.sign(local[:, 0]), np.zeros(len(local))]),
-            np.column_stack([np.zeros(len(local)), np.sign(local[:, 1])]),
-        )
-        @ one.pose.rotation.T
-    )
-    double = 2.0 * np.arctan2(normal[:, 1], normal[:, 0])
-    ones = np.full(len(border), _LOOKS)
-    values = np.column_stack(
-        [
-            ones, ones * border[:, 0], ones * border[:, 1],
-            ones * np.cos(double), ones * np.sin(double),
-            ones * normal[:, 0], ones * normal[:, 1], ones,
-        ]
-    )  # fmt: skip
-    after.walls.add(after.walls.keys_of(border), values)
-    ends = np.unique(after.space.keys_of(border))
+
+    def is_hidden(points_m: Array) -> NDArray[np.bool_]:
+        x, y = (one.pose.inverse() @ points_m).T
+        behind = (y > -half[1] - _HIDDEN_M) & (y < half[1])
+        return np.asarray((np.abs(x) < half[0]) & behind)
+
+    for grid, copied in ((known.walls, after.walls), (known.space, after.space)):
+        kept = ~is_hidden(grid.centres())
+        copied.keys, copied.sums = grid.keys[kept], grid.sums[kept]
+    points_m, normals = _front_and_sides(one, 0.5 * known.walls.cell_m)
+    double = 2.0 * np.arctan2(normals[:, 1], normals[:, 0])
+    each = np.ones(len(points_m))
+    values = np.column_stack([each, points_m, np.cos(double), np.sin(double), normals, each])
+    after.walls.add(after.walls.keys_of(points_m), _LOOKS * values)
+    ends = np.unique(after.space.keys_of(points_m))
     rows = after.space.find(ends)
     after.space.sums[rows[rows >= 0]] = 0.0
     after.space.add(ends, np.column_stack([np.zeros(len(ends)), np.full(len(ends), _LOOKS)]))
     after.revision = 1
     return after
+
+
+def _front_and_sides(one: Box, spacing_m: float) -> tuple[Array, Array]:
+    """Points (n, 2) of a box that can be seen, and their normals (n, 2), in the map."""
+    x, y = 0.5 * one.shape.width_m, 0.5 * one.shape.depth_m
+    points, normals = [], []
+    for begin, end, normal in (
+        ((-x, -y), (-x, y), (-1.0, 0.0)),
+        ((-x, y), (x, y), (0.0, 1.0)),
+        ((x, y), (x, -y), (1.0, 0.0)),
+    ):
+        count = int(math.dist(begin, end) / spacing_m) + 2
+        points.append(np.linspace(begin, end, count))
+        normals.append(np.tile(normal, (count, 1)))
+    return one.pose @ np.concatenate(points), np.concatenate(normals) @ one.pose.rotation.T

@@ -17,7 +17,7 @@ from amr_slam.commissioning.making import Report
 from amr_slam.geometry import Array
 from amr_slam.pictures import Layer, Sheet
 
-ERROR_STEPS_M: Final = (0.02, 0.05, 0.1, 0.2, 0.5)
+ERROR_STEPS_M: Final = (0.01, 0.02, 0.05, 0.1, 0.2)
 ERROR_COLOURS: Final = ("#2166AC", "#67A9CF", "#B8D8E8", "#FDD9A0", "#EF8A62", "#B2182B")
 SEEN_STEPS: Final = (1, 2, 5, 10, 30)
 SEEN_COLOURS: Final = ("#D9822B", "#F5C98A", "#BFE3D0", "#7CC8AE", "#3A9C86", "#0B6B62")
@@ -78,7 +78,7 @@ class Drawing:
     def coverage(self) -> Figure:
         """How often the floor was seen, and where it goes on."""
         found = self._report.coverage
-        classes = np.searchsorted(np.array(SEEN_STEPS), found.seen, side="left")
+        classes = np.asarray(np.searchsorted(SEEN_STEPS, found.seen, side="left"))
         heat = self._sheet.heat(found.cells_m, found.cell_m, classes, SEEN_COLOURS)
         lines, letters = [], []
         for number, border in enumerate(found.borders, 1):
@@ -98,20 +98,23 @@ class Drawing:
         """Expected error over the floor, with its weakest direction."""
         found = self._report.precision
         cells = self._report.coverage.cells_m
-        classes = np.searchsorted(np.array(ERROR_STEPS_M), found.error95_m, side="left")
+        classes = np.asarray(np.searchsorted(ERROR_STEPS_M, found.error95_m, side="left"))
         reach_m = max(1.1 * found.spacing_m, 0.8)
         off, nearest = cKDTree(found.places_m).query(cells, distance_upper_bound=reach_m)
         near = np.isfinite(off)
         heat = self._sheet.heat(
-            cells[near], self._report.coverage.cell_m, classes[nearest[near]], ERROR_COLOURS
+            cells[near],
+            self._report.coverage.cell_m,
+            classes[np.asarray(nearest)[near]],
+            ERROR_COLOURS,
         )
-        names = ("up to 2 cm", "5 cm", "10 cm", "20 cm", "50 cm", "more")
+        names = ("up to 1 cm", "2 cm", "5 cm", "10 cm", "20 cm", "more")
         letters = [
             self._mark("number", weak.middle_m, text=str(number))
             for number, weak in enumerate(found.weak[:9], 1)
         ]
         return self._figure(
-            "Expected error of the position over the floor, with the direction in which it is largest",
+            "Expected error of the position over the floor, and its largest direction",
             heat=heat,
             lines=self._strokes(),
             letters=letters,
@@ -166,18 +169,16 @@ class Drawing:
             (x, y), (x2, y2) = self._sheet.at(one), self._sheet.at(other)
             if not pair.same_place:
                 lines.append(Mark(kind=f"link {kind}", x=x, y=y, x2=x2, y2=y2))
-                letters.append(Mark(kind=f"letter {kind}", x=x2, y=y2, text=f"{pair.letter}′"))
+                letters.append(Mark(kind=f"letter {kind}", x=x2, y=y2, text=f"{pair.letter}*"))
             letters.append(Mark(kind=f"letter {kind}", x=x, y=y, text=pair.letter))
-        boxes = [
-            self._box(one.box)
-            for one in (*self._report.resolutions, *self._report.anchors)
-            if one.box is not None
-        ]
+        suggested = [one.box for one in self._report.resolutions]
+        suggested += [one.box for one in self._report.anchors]
+        boxes = [self._box(box) for box in suggested if box is not None]
         return self._figure(
             "Pairs of places that are taken for one another, and boxes that resolve them",
             lines=lines, dots=dots, boxes=boxes, letters=letters,
             keys=(
-                Key(text="A and A′: the robot takes one for the other", kind="pair0"),
+                Key(text="A and A*: the robot takes one for the other", kind="pair0"),
                 Key(text="suggested box", kind="box"),
             ),
         )  # fmt: skip

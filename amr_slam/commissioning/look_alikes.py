@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from amr_slam.commissioning.cold_starts import ColdStart, Outcome
 from amr_slam.geometry import Array, Pose2
 
+Rows = NDArray[np.intp]
+
 # A corner that is alike at one pose alone is chance.
 _LEAST = 2
+# Rivals this near to each other are the same place.
+_SAME_M = 1.5
 _LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Confusion:
+    """A cold start, and where the robot may as well be, as far as one pair of places goes."""
+
+    start: ColdStart
+    rivals: tuple[Pose2, ...]
+
+    def remains_in(self, again: ColdStart) -> bool:
+        """Whether the same cold start, tried again in another map, is still so confused."""
+        if again.outcome in {Outcome.WRONG, Outcome.BLIND}:
+            return True
+        return any(
+            rival.distance_to(other) <= _SAME_M for rival in again.rivals for other in self.rivals
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,10 +46,13 @@ class Pair:
     """(n, 2) places in the first area, row-aligned with those of the other one."""
     there_m: Array
     """(n, 2)."""
-    starts: tuple[ColdStart, ...]
-    """That were confused, each once."""
-    wrong: int
-    """Of these, that gave a wrong place for right."""
+    confused: tuple[Confusion, ...]
+    """Each cold start once."""
+
+    @property
+    def wrong(self) -> int:
+        """How many of them gave a wrong place for right."""
+        return sum(one.start.outcome is Outcome.WRONG for one in self.confused)
 
     @property
     def middles_m(self) -> tuple[Array, Array]:
@@ -44,8 +66,8 @@ class Pair:
 
 
 def pairs(tried: Sequence[ColdStart], reach_m: float) -> tuple[Pair, ...]:
-    """Confusions that begin within ``reach_m`` of each other and end so, too, are one pair; it
-    does not matter which of its areas the robot stands in. The largest first."""
+    """Confusions that begin within about ``reach_m`` of one of them and end so, too, are one pair;
+    it does not matter which of its areas the robot stands in. The largest first."""
     confused = [
         (start, rival)
         for start in tried
@@ -60,8 +82,11 @@ def pairs(tried: Sequence[ColdStart], reach_m: float) -> tuple[Pair, ...]:
     found = []
     for group in range(int(groups.max()) + 1):
         rows = np.flatnonzero(groups == group)
-        starts = tuple({id(confused[row][0]): confused[row][0] for row in rows}.values())
-        if len(starts) < _LEAST:
+        rivals: dict[ColdStart, list[Pose2]] = {}
+        for row in rows:
+            start, rival = confused[row]
+            rivals.setdefault(start, []).append(rival)
+        if len(rivals) < _LEAST:
             continue
         turned = swapped[rows, None]
         found.append(
@@ -69,25 +94,13 @@ def pairs(tried: Sequence[ColdStart], reach_m: float) -> tuple[Pair, ...]:
                 letter="",
                 here_m=np.where(turned, there[rows], here[rows]),
                 there_m=np.where(turned, here[rows], there[rows]),
-                starts=starts,
-                wrong=sum(start.outcome is Outcome.WRONG for start in starts),
+                confused=tuple(
+                    Confusion(start=start, rivals=tuple(others)) for start, others in rivals.items()
+                ),
             )
         )
-    found.sort(key=lambda pair: (-pair.wrong, -len(pair.starts)))
-    return tuple(_lettered(found))
-
-
-def _lettered(found: Sequence[Pair]) -> list[Pair]:
-    return [
-        Pair(
-            letter=_letters(number),
-            here_m=pair.here_m,
-            there_m=pair.there_m,
-            starts=pair.starts,
-            wrong=pair.wrong,
-        )
-        for number, pair in enumerate(found)
-    ]
+    found.sort(key=lambda pair: (-pair.wrong, -len(pair.confused)))
+    return tuple(replace(pair, letter=_letters(row)) for row, pair in enumerate(found))
 
 
 def _letters(number: int) -> str:
@@ -95,35 +108,31 @@ def _letters(number: int) -> str:
     return (_letters(more - 1) if more else "") + _LETTERS[last]
 
 
-def _grouped(here: Array, there: Array, reach_m: float) -> tuple[Array, Array]:
+def _grouped(here: Array, there: Array, reach_m: float) -> tuple[Rows, NDArray[np.bool_]]:
     """(n,) number of each confusion's group, and (n,) whether it begins in its second area.
 
-    Each confusion stands for two nodes of a graph, one for each way round.
+    Time and again, the confusion with most others around both its ends takes them. Chains of
+    neighbours would not do: they run through a symmetric hall until both areas are all of it.
     """
     n = len(here)
     begin, end = np.concatenate([here, there]), np.concatenate([there, here])
-    rows, columns = [], []
-    for row in range(2 * n):
-        near = np.hypot(*(begin - begin[row]).T) <= reach_m
-        near &= np.hypot(*(end - end[row]).T) <= reach_m
-        found = np.flatnonzero(near)
-        rows.append(np.full(len(found), row))
-        columns.append(found)
-    i, j = np.concatenate(rows), np.concatenate(columns)
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(2 * n, 2 * n))
-    labels = connected_components(graph, directed=False)[1]
-    plain, turned = labels[:n], labels[n:]
-    # Both ways round are one group, called by the lesser number.
-    least = np.minimum(plain, turned)
-    _, groups = np.unique(least, return_inverse=True)
-    return groups, np.asarray(plain > turned)
+    # Each confusion stands for two rows, one for each way round.
+    near = cdist(here, begin) + cdist(there, end)
+    plain, turned = near[:, :n], near[:, n:]
+    swapped, off = turned < plain, np.minimum(plain, turned)
+    together = off <= 2.0 * reach_m
+    groups = np.full(n, -1, dtype=np.intp)
+    ways = np.zeros(n, dtype=np.bool_)
+    number = 0
+    while np.any(groups < 0):
+        free = groups < 0
+        middle = int(np.argmax(np.where(free, (together & free).sum(axis=1), -1)))
+        mine = together[middle] & free
+        groups[mine], ways[mine] = number, swapped[middle, mine]
+        number += 1
+    return groups, ways
 
 
 def _middle(points: Array) -> Array:
     off = np.hypot(*(points - np.median(points, axis=0)).T)
     return np.asarray(points[int(np.argmin(off))])
-
-
-def heading_between(here: Pose2, there: Pose2) -> float:
-    """Turn in degrees from one to the other, 0 to 180."""
-    return abs(math.degrees((here.inverse() @ there).theta_rad))

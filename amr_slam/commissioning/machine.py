@@ -67,12 +67,14 @@ def facts(report: Report, about: About) -> dict[str, Any]:
         },
         "look_alikes": [
             {"letter": one.letter, "here_m": _list(one.middles_m[0]),
-             "there_m": _list(one.middles_m[1]), "poses": len(one.starts), "wrong": one.wrong}
+             "there_m": _list(one.middles_m[1]), "poses": len(one.confused), "wrong": one.wrong}
             for one in report.pairs
         ],
+        "boxes_together": None if report.together is None else asdict(report.together),
         "suggestions": [
             {"pair": one.pair.letter, "box": _box(one.box), "tried": one.tried,
-             "poses": one.poses, "resolved": one.resolved, "located": one.located}
+             "poses": one.poses, "resolved_before": one.before, "resolved": one.resolved,
+             "located": one.located}
             for one in report.resolutions
         ] + [
             {"weak": number, "box": _box(one.box), "tried": one.tried, "places": one.places,

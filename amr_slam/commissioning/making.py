@@ -11,7 +11,14 @@ from amr_slam.commissioning.look_alikes import Pair, pairs
 from amr_slam.commissioning.places import reachable
 from amr_slam.commissioning.precision import Precision, precision
 from amr_slam.commissioning.settings import ReportParams
-from amr_slam.commissioning.suggestions import Anchor, Resolution, Trials, anchor, resolution
+from amr_slam.commissioning.suggestions import (
+    Altogether,
+    Anchor,
+    Resolution,
+    Trials,
+    anchor,
+    resolutions,
+)
 from amr_slam.commissioning.viewing import Eye
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
@@ -19,10 +26,11 @@ from amr_slam.params import SlamParams
 Say = Callable[[str, float | None], None]
 """Told the step that is under way, and the share of it that is done where that is known."""
 
-_LEAST_REACH_M = 1.5
+# Areas of a pair are about as large as a room.
+_LEAST_REACH_M = 4.0
 
 
-class NothingToReport(Exception):
+class ReportError(Exception):
     """The map has no floor on which a robot could stand."""
 
 
@@ -39,6 +47,9 @@ class Report:
     starts: ColdStarts
     pairs: tuple[Pair, ...]
     resolutions: tuple[Resolution, ...]
+    """Of the first pairs."""
+    together: Altogether | None
+    """All boxes of these; None where there are none."""
     anchors: tuple[Anchor, ...]
 
 
@@ -47,12 +58,12 @@ def make_report(
 ) -> Report:
     """Some minutes for a large hall. The same map and parameters give the same report.
 
-    Raises NothingToReport.
+    Raises ReportError.
     """
     say("floor", None)
     places = reachable(known, slam)
     if not len(places):
-        raise NothingToReport("no floor was seen free on which the robot fits")
+        raise ReportError("no floor was seen free on which the robot fits")
     covered = coverage(known, places, slam.grid_m, params.seen_often)
     say("expected error", None)
     exact = precision(known.target(), eyes, places, slam, params)
@@ -64,6 +75,7 @@ def make_report(
     trials = Trials(
         known=known, eyes=eyes, slam=slam, params=params, say=lambda text: say(text, None)
     )
+    resolved, together = resolutions(trials, alike)
     return Report(
         known=known,
         eyes=tuple(eyes),
@@ -73,6 +85,7 @@ def make_report(
         precision=exact,
         starts=started,
         pairs=alike,
-        resolutions=tuple(resolution(trials, pair) for pair in alike[: params.pairs_tried]),
+        resolutions=resolved,
+        together=together,
         anchors=tuple(anchor(trials, exact, weak) for weak in exact.weak[: params.corridors_tried]),
     )

@@ -36,13 +36,17 @@ def components(points: Array, reach_m: float) -> NDArray[np.int32]:
 
 
 def thinned(places: Array, most: int, least_m: float) -> tuple[Array, float]:
-    """At most about ``most`` of places (n, 2) that are ``least_m`` apart, evenly: one a square,
-    the nearest to its middle. And the side of a square in m."""
+    """At most ``most`` (1 or more) of places (n, 2) that are ``least_m`` apart, evenly: one a
+    square, the nearest to its middle. And the side of a square in m."""
     if len(places) <= most:
         return places, least_m
     spacing_m = least_m * math.sqrt(len(places) / most)
-    grid = SparseGrid(spacing_m, 1)
-    keys = grid.keys_of(places)
+    while True:
+        grid = SparseGrid(spacing_m, 1)
+        keys = grid.keys_of(places)
+        if len(np.unique(keys)) <= most:
+            break
+        spacing_m *= 1.1
     off = np.hypot(*(places - grid.centres(keys)).T)
     order = np.lexsort((off, keys))
     _, first = np.unique(keys[order], return_index=True)

@@ -74,7 +74,10 @@ def _alike(report: Report) -> Judged:
     question, part = "Do places look alike?", "look-alikes"
     confused = report.starts.share(Outcome.ALIKE, Outcome.WRONG)
     if not report.pairs:
-        answer = f"No pair of places was found that is taken for one another ({len(report.starts.tried)} poses tried)."
+        answer = (
+            "No pair of places was found that is taken for one another"
+            f" ({len(report.starts.tried)} poses tried)."
+        )
         light = Light.GREEN if confused < 0.05 else Light.AMBER
         return Judged(question=question, light=light, answer=answer, anchor=part)
     wrong = sum(pair.wrong for pair in report.pairs)
@@ -84,12 +87,12 @@ def _alike(report: Report) -> Judged:
         f"{count} {'pair' if count == 1 else 'pairs'} of places look alike; the robot hesitates at"
         f" {percent(confused)} of the floor."
     )
-    helped = [one for one in report.resolutions if one.box is not None]
-    if helped:
-        best = max(helped, key=lambda one: one.resolved)
+    together = report.together
+    if together is not None:
+        boxes = "One box" if together.boxes == 1 else f"{together.boxes} boxes"
         answer += (
-            f" One {best.box.shape.name if best.box else 'box'} resolves {best.resolved} of"
-            f" {best.poses} poses of pair {best.pair.letter}."
+            f" {boxes} would settle {together.located + together.unsure} of the"
+            f" {together.poses} poses."
         )
     return Judged(question=question, light=light, answer=answer, anchor=part)
 
@@ -126,5 +129,6 @@ def _covered(report: Report) -> Judged:
     else:
         answer += " Nothing within reach was left out."
     if found.counted:
-        answer += f" {percent(found.seldom)} of it was seen by fewer than {report.params.seen_often} scans."
+        often = report.params.seen_often
+        answer += f" {percent(found.seldom)} of it was seen by fewer than {often} scans."
     return Judged(question="Is the map complete?", light=light, answer=answer, anchor="coverage")

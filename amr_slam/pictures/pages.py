@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from amr_slam.geometry import Array
@@ -100,7 +101,9 @@ class Sheet:
             layers.append(self._layer(colours, corner, image.resolution_m))
         return layers[0], layers[1]
 
-    def heat(self, cells_m: Array, cell_m: float, classes: Array, colours: Sequence[str]) -> Layer:
+    def heat(
+        self, cells_m: Array, cell_m: float, classes: NDArray[np.intp], colours: Sequence[str]
+    ) -> Layer:
         """Square cells (n, 2) by their middles, each in the colour (#rrggbb) of its class (n,)."""
         dot_m = max(cell_m, self.width / self.per_m / _MOST_DOTS)
         index = np.floor(cells_m / dot_m).astype(np.int64)
@@ -114,7 +117,7 @@ class Sheet:
         pixels[rows - 1 - row, column] = palette[classes[order]]
         return self._layer(pixels, low * dot_m, dot_m)
 
-    def _layer(self, pixels: np.ndarray, corner_m: Array, dot_m: float) -> Layer:
+    def _layer(self, pixels: NDArray[np.uint8], corner_m: Array, dot_m: float) -> Layer:
         rows, columns = pixels.shape[:2]
         x, y = self.at(corner_m + np.array([0.0, rows * dot_m]))
         stream = io.BytesIO()
