@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csc_array, diags_array
-from scipy.sparse.linalg import spsolve
 
 from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
 
@@ -78,8 +77,10 @@ def _descend(stack: _Stack, found: Array, gain: float) -> Array:
     damping, cost = 1e-6, stack.cost(found)
     for _ in range(_ITERATIONS):
         normal, gradient = stack.normal_equations(found)
-        damped = csc_array(normal + diags_array(damping * normal.diagonal()))
-        step = spsolve(damped, -gradient).reshape(-1, 3)
+        damped = scipy.sparse.csc_array(
+            normal + scipy.sparse.diags_array(damping * normal.diagonal())
+        )
+        step = scipy.sparse.linalg.spsolve(damped, -gradient).reshape(-1, 3)
         tried = found.copy()
         tried[1:] += step
         tried[:, 2] = wrap_angle(tried[:, 2])
@@ -124,7 +125,7 @@ class _Stack:
         d2 = self.d2(poses)
         return float(np.sum(np.where(self._loop, d2 * self.kernel_d2 / (self.kernel_d2 + d2), d2)))
 
-    def normal_equations(self, poses: Array) -> tuple[csc_array, Array]:
+    def normal_equations(self, poses: Array) -> tuple[scipy.sparse.csc_array, Array]:
         """(3(n-1), 3(n-1)) and (3(n-1),): of all poses but the first."""
         a, b = poses[self._start], poses[self._end]
         off = self.residuals(poses)
@@ -155,7 +156,7 @@ class _Stack:
                 rows.append(_spread(row, 1))
                 columns.append(_spread(column, 0))
                 values.append(block.ravel())
-        normal = csc_array(
+        normal = scipy.sparse.csc_array(
             (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
             shape=(size, size),
         )

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2, readonly
@@ -133,7 +133,7 @@ def forget(rays: list[Rays], poses: Sequence[Pose2], area_m2: float) -> None:
         if len(kept) < 2:
             return
         places = np.array([_place(poses[i]) for i in kept])
-        found = cKDTree(places).query(places, k=2)
+        found = scipy.spatial.cKDTree(places).query(places, k=2)
         distance, other = np.asarray(found[0]), np.asarray(found[1])
         # Rows in which a twin at the same place came first hold it in column 0.
         first = int(np.argmin(distance[:, 1]))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from amr_slam.compiled import ENABLED, jit
 from amr_slam.geometry import Array
@@ -94,7 +94,7 @@ def _moments_loop(ridges: Array, width_m: float) -> Array:
 
 def _moments_numpy(ridges: Array, width_m: float) -> Array:
     n = len(ridges)
-    tree = cKDTree(ridges[:, :2])
+    tree = scipy.spatial.cKDTree(ridges[:, :2])
     pairs = tree.query_pairs(_REACH * width_m, output_type="ndarray")
     i = np.concatenate([pairs[:, 0], pairs[:, 1], np.arange(n)])
     j = np.concatenate([pairs[:, 1], pairs[:, 0], np.arange(n)])

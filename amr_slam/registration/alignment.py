@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from amr_slam.areas import Area
 from amr_slam.geometry import Array, Pose2, readonly
@@ -53,9 +53,9 @@ class Target:
         return len(self.points_m)
 
     @cached_property
-    def tree(self) -> cKDTree:
+    def tree(self) -> scipy.spatial.cKDTree:
         """Exact nearest-neighbour index over the points, built on first use."""
-        return cKDTree(self.points_m)
+        return scipy.spatial.cKDTree(self.points_m)
 
     @cached_property
     def lookup(self) -> lookup.Lookup:

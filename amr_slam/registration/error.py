@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from amr_slam.geometry import Array
 
 
-def e_psr(source_m: Array, target: cKDTree, threshold_m: float = 1.0) -> float:
+def e_psr(source_m: Array, target: scipy.spatial.cKDTree, threshold_m: float = 1.0) -> float:
     """Mean distance (m) from each source point (n, 2) to its nearest target point.
 
     Only distances below ``threshold_m`` (the paper's epsilon, 1 m) count, so that a scan that
@@ -19,7 +19,7 @@ def e_psr(source_m: Array, target: cKDTree, threshold_m: float = 1.0) -> float:
     return mean_below(nearest(source_m, target, threshold_m))
 
 
-def nearest(source_m: Array, target: cKDTree, threshold_m: float = 1.0) -> Array:
+def nearest(source_m: Array, target: scipy.spatial.cKDTree, threshold_m: float = 1.0) -> Array:
     """Distances d_min (n,) in m to the nearest target point; inf at ``threshold_m`` or beyond."""
     if not len(source_m) or not target.n:
         return np.full(len(source_m), np.inf)

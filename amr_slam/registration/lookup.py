@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array
@@ -149,7 +149,7 @@ def _stamp_in_numpy(
         rows = np.flatnonzero(normals @ direction >= (within if layer else 0.0))
         if not len(rows):
             continue
-        tree = cKDTree(points[rows])
+        tree = scipy.spatial.cKDTree(points[rows])
         near = tree.query(middles, distance_upper_bound=reach + 1.5 * span)[0]
         for k in np.flatnonzero(np.isfinite(near)):
             x = x0 + corners_x[k] * TILE * cell + centre

@@ -14,7 +14,7 @@ import math
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
+import scipy
 
 from amr_slam.clouds import Cloud
 from amr_slam.compiled import ENABLED, jit
@@ -54,7 +54,7 @@ def polish(
     beams = beams / np.maximum(reach, 1e-9)[:, None]
     strides = _strides(beams, reach, source.across_m)
     # What a point may come from is no farther than it and its neighbours are, and the noise.
-    far = maximum_filter1d(reach, 2 * _BESIDE + 1) + 3.0 * source.sigma_m
+    far = scipy.ndimage.maximum_filter1d(reach, 2 * _BESIDE + 1) + 3.0 * source.sigma_m
     pose = start
     prior = np.asarray(np.eye(3) + known)  # a direction that nothing determines stays
     here = Pose2.from_array(pose)
