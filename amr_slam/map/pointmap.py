@@ -126,6 +126,7 @@ class PointMap:
         self._draw_appended()
         self._note(cloud, map_from_base)
         self._draw([(cloud, map_from_base)])
+        self._forget()
 
     def append(self, cloud: Cloud, map_from_base: Pose2) -> None:
         """Add one accepted scan at its pose, to be drawn when somebody asks for walls or space:
@@ -145,6 +146,8 @@ class PointMap:
                     if len(self.rays[row])
                 ]
             )
+        if waiting:
+            self._forget()  # not before all are drawn: how much is kept goes by the area that is
 
     def rebuilt(self, poses: Sequence[Pose2]) -> PointMap:
         """A map of the same scans, each at its new pose: one for each scan of ``path``, in its
@@ -202,9 +205,11 @@ class PointMap:
                 np.maximum(high, points.max(axis=0)),
             )
         self._coarsen()
+        self.revision += 1
+
+    def _forget(self) -> None:
         if needs_room(self.rays):
             forget(self.rays, [pose for _, pose in self.path], self.area_m2())
-        self.revision += 1
 
     def _coarsen(self) -> None:
         """Keep the walls of noisy scans in half the digits, and in cells of twice the side where

@@ -61,6 +61,16 @@ def test_what_is_appended_is_drawn_once_when_it_is_asked_for() -> None:
         np.testing.assert_array_equal(drawn.space.sums, other.space.sums)
 
 
+def test_nothing_is_forgotten_before_it_is_drawn() -> None:
+    """Rays of a whole drive are more than its first part has room for."""
+    cloud = cloud_at(room(), POSES[0], np.random.default_rng(0), sigma_m=0.01)
+    grown = PointMap(MapParams())
+    for i in range(600):
+        grown.append(cloud, Pose2(0.5 * i, 2.0, 0.0))
+    counted = sum(len(rays) for rays in grown.rays)
+    assert float(grown.walls.sums[:, 7].sum()) == counted
+
+
 def test_memory_is_bounded_and_the_oldest_of_near_scans_goes() -> None:
     rng = np.random.default_rng(0)
     poses = [*POSES, POSES[3] @ Pose2(0.05, 0.0, 0.0)]
