@@ -189,12 +189,12 @@ def test_on_a_full_disk_automatic_recordings_give_way(
 ) -> None:
     with Recording(tmp_path) as recording:
         first = recording.save("first", automatic=True)
-        free = iter([0, module._LEAST_FREE_BYTES + (1 << 30)])
-        monkeypatch.setattr(module, "_free_bytes", lambda _: next(free))
+        free = iter([0, module.LEAST_FREE_BYTES + (1 << 30)])
+        monkeypatch.setattr(module, "free_bytes", lambda _: next(free))
         asked = recording.save("asked", automatic=False)
         assert asked.exists()
         assert not first.exists()
-        monkeypatch.setattr(module, "_free_bytes", lambda _: 0)
+        monkeypatch.setattr(module, "free_bytes", lambda _: 0)
         refused = recording.save("refused", automatic=False)
         assert not refused.exists()
         assert asked.exists()

@@ -194,7 +194,7 @@ def with_box(known: PointMap, one: Box) -> PointMap:
     the box, and is good for localization only."""
     after = PointMap(known.params, known.name)
     after.path, after.noises_m, after.rays = known.path, known.noises_m, known.rays
-    after.reframings = known.reframings
+    after.reframings, after.imported, after.layers = known.reframings, known.imported, known.layers
     half = 0.5 * np.array([one.shape.width_m, one.shape.depth_m])
 
     def is_hidden(points_m: Array) -> NDArray[np.bool_]:

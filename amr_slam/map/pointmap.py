@@ -169,12 +169,10 @@ class PointMap:
     def copied(self) -> PointMap:
         """A map of its own with the same content."""
         fresh = copy.copy(self)
-        fresh._walls, fresh._space = copy.copy(self._walls), copy.copy(self._space)
-        for grid in (fresh._walls, fresh._space):
-            grid.keys, grid.sums = grid.keys.copy(), grid.sums.copy()
         fresh.path, fresh.noises_m = list(self.path), list(self.noises_m)
         fresh.rays = list(self.rays)
-        vars(fresh).update(_places={}, _deconvolution=None)
+        grids = {"_walls": copy.deepcopy(self._walls), "_space": copy.deepcopy(self._space)}
+        vars(fresh).update(grids, _places={}, _deconvolution=None)
         return fresh
 
     def move(self, poses: Sequence[Pose2]) -> None:

@@ -52,8 +52,10 @@ def bare_room(name: str = "a room") -> PointMap:
 
 def imported(known: PointMap) -> PointMap:
     """Walls and floor alone, as another program's picture gives them."""
-    bare = PointMap(known.params, "imported")
-    bare.walls, bare.space = known.walls, known.space
+    bare = known.copied()
+    bare.name = "imported"
+    for of_scans in (bare.path, bare.noises_m, bare.rays):
+        of_scans.clear()
     bare.space.sums = np.minimum(bare.space.sums, 1.0)
     bare.revision = 1
     return bare
