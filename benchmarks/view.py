@@ -28,7 +28,6 @@ from playwright.sync_api import CDPSession, Page
 from amr_slam.studies.browsing import browser, read, view_process, wait_for
 from amr_slam.studies.fleet.processes import program
 
-PROCESSES = 4
 WARM_S = 20.0
 SAMPLE_S = 15.0
 RECORD_FRAMES = """() => {
@@ -68,17 +67,11 @@ def measure(robots: int, hz: float, minutes: float) -> dict[str, Any]:
     with ExitStack() as opened:
         folder = opened.enter_context(tempfile.TemporaryDirectory())
         opened.enter_context(program("router", endpoint))
-        each = -(-robots // PROCESSES)
-        drivers = []
-        for first in range(0, robots, each):
-            own = Path(folder) / str(first)
-            own.mkdir()
-            count = min(each, robots - first)
-            options = [
-                "--first", str(first), "--count", str(count), "--of", str(robots),
-                "--hz", str(hz), "--area", "1500", "--seed", "5", "--scanning", "1",
-            ]  # fmt: skip
-            drivers.append(opened.enter_context(program("driving", endpoint, str(own), *options)))
+        options = [
+            "--count", str(robots), "--hz", str(hz), "--area", "700", "--seed", "5",
+            "--scanning", "1",
+        ]  # fmt: skip
+        drivers = opened.enter_context(program("driving", endpoint, folder, *options))
         view = opened.enter_context(view_process(endpoint))
         page = opened.enter_context(browser()).new_page(viewport={"width": 1440, "height": 900})
         page.goto(view.address)
@@ -108,7 +101,7 @@ def measure(robots: int, hz: float, minutes: float) -> dict[str, Any]:
             "heap MB, first third": round(float(np.mean(heap[: -(-len(heap) // 3)])), 1),
             "heap MB, last third": round(float(np.mean(heap[-(-len(heap) // 3) :])), 1),
             "server MB, begin and end": f"{server[0]:.0f}, {server[-1]:.0f}",
-            "frozen robot is stale after s": _frozen_s(page, drivers[-1].pid, robots),
+            "frozen robot is stale after s": _frozen_s(page, drivers.pid, robots),
             "load average": round(os.getloadavg()[0], 1),
         }
 

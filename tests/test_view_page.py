@@ -144,6 +144,7 @@ def until(page: Any, condition: Callable[[], bool], what: str) -> None:
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_robots_are_drawn_where_their_poses_say(rig: Rig, scheme: str) -> None:
     with rig.page(color_scheme=scheme) as page:
+        assert read(page, "v.layer.map.layers[0].name") == "pallets"
         told = {name: read(page, f"v.store.robots.get('{name}').pose") for name in NAMES}
         for name, pose in told.items():
             sent = rig.convoy.sent(name, pose["seq"])

@@ -18,6 +18,7 @@ from test_publishing import free_endpoint
 
 from amr_slam.client import RobotView
 from amr_slam.map import MapParams, PointMap, save_map
+from amr_slam.map.layers import LayerKind, Layers
 from amr_slam.samples import State
 from amr_slam.studies.browsing import view_process
 from amr_slam.viewing import ViewError, ViewSettings
@@ -211,9 +212,13 @@ def test_the_past_is_kept_for_ten_minutes_and_no_longer() -> None:
 
 def test_a_map_is_drawn_and_what_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "a.amrmap"
-    save_map(PointMap(MapParams(), "empty"), path)
+    empty = PointMap(MapParams(), "empty")
+    triangle = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 2.0]])
+    empty.edit(Layers().with_drawn([(LayerKind.ZONE, "racks", triangle)], "somebody", 0))
+    save_map(empty, path)
     header, values = unpacked(drawn(path.read_bytes()))
     assert (header["name"], header["points"], len(values)) == ("empty", 0, 0)
+    assert header["layers"] == [{"kind": "zone", "name": "racks", "points_m": triangle.tolist()}]
     for junk in (b"", b"AMRMAP\r\n", path.read_bytes()[:-1], np.random.default_rng(1).bytes(100)):
         with pytest.raises(ValueError, match=r"^[^\n]+$"):
             drawn(junk)

@@ -36,6 +36,10 @@ def drawn(data: bytes) -> bytes:
             "bounds": known.bounds(),
             "area_m2": known.area_m2(),
             "floor": _floor(known),
+            "layers": [
+                {"kind": one.kind, "name": one.name, "points_m": one.corners_m.tolist()}
+                for one in known.layers.active
+            ],
         }
     except MapError as error:
         raise ValueError(str(error)) from error

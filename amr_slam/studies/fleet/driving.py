@@ -22,6 +22,7 @@ import numpy as np
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import MapParams, PointMap, save_map
+from amr_slam.map.layers import LayerKind
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
 from amr_slam.serving import Asked, MapFile, MapWanted
@@ -58,7 +59,8 @@ Answer = Callable[[Asked], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Course:
-    """A hall, a closed round through it, and its map; the map's frame is the world's."""
+    """A hall, a closed round through it, and its map with a zone; the map's frame is the
+    world's."""
 
     world: World
     path_m: Array
@@ -81,6 +83,10 @@ class Course:
         known = PointMap(MapParams(), "hall")
         for way_m in np.arange(0.0, course.length_m, _MAP_EVERY_M):
             known.insert(course.seen(pose := course.pose(float(way_m))), pose)
+        middle = course.pose(0.45 * course.length_m)
+        square_m = np.array([[-1.2, -0.8], [1.2, -0.8], [1.2, 0.8], [-1.2, 0.8]])
+        zone = (LayerKind.ZONE, "pallets", square_m + middle.translation)
+        known.edit(known.layers.with_drawn([zone], "a simulation", 0))
         return replace(course, map_id=str(save_map(known, course.map_path)))
 
     @property
@@ -260,9 +266,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("endpoint", help="of the router")
     parser.add_argument("folder", type=Path, help="for the map")
-    parser.add_argument("--first", type=int, default=0, help="number in the first one's name")
     parser.add_argument("--count", type=int, default=3)
-    parser.add_argument("--of", type=int, help="all robots on the round (default: --count)")
     parser.add_argument("--hz", type=float, default=10.0)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--area", metavar="M2", type=float, default=200.0)
@@ -277,13 +281,13 @@ def main(argv: Sequence[str] | None = None) -> int:
                 DrivingRobot(
                     f"amr{number + 1:02d}",
                     course,
-                    start_m=course.length_m * number / (arguments.of or arguments.count),
+                    start_m=course.length_m * number / arguments.count,
                     connect=(arguments.endpoint,),
                     changes=changes[number] if number < len(changes) else {},
                     scans=arguments.scanning is None or number < arguments.scanning,
                 )
             )
-            for number in range(arguments.first, arguments.first + arguments.count)
+            for number in range(arguments.count)
         ]
         ended = wait_for_end()
         ready()

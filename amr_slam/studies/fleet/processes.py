@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, Final
 
-_PATIENCE_S: Final = 120.0
+_PATIENCE_S: Final = 240.0  # processors may be busy
 _BUSY: Final = "while True: pass"
 
 

@@ -4,6 +4,7 @@ import { ask, askToken } from "./actions.js";
 import { Camera } from "./camera.js";
 import { Details } from "./details.js";
 import { listen } from "./gestures.js";
+import { drawLayers } from "./layers.js";
 import { Link } from "./link.js";
 import { RobotList } from "./list.js";
 import { MapLayer, drawGrid, drawScaleBar } from "./map_layer.js";
@@ -226,6 +227,7 @@ function draw() {
   ctx.fillRect(0, 0, camera.width, camera.height);
   dirty = layer.draw(ctx, camera, palette, ratio);
   const grid = drawGrid(ctx, camera, palette);
+  drawLayers(ctx, camera, layer.map?.layers ?? [], palette);
   const shown = drawScene(ctx, camera, store, palette);
   if (!fitted && shown.length && !layer.map) fit();
   mode?.draw(ctx, camera, palette);

@@ -2,7 +2,7 @@
 
 import { STATES } from "./states.js";
 
-const NAMES = ["ground", "panel", "ink", "quiet", "line", "accent", "floor", "wall", "scan", "grid", "alarm"];
+const NAMES = ["ground", "panel", "ink", "quiet", "line", "accent", "floor", "wall", "scan", "grid", "layer"];
 
 export function readPalette() {
   const style = getComputedStyle(document.documentElement);
