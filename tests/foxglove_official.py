@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+import jsonschema
 from foxglove import messages
 from google.protobuf.descriptor_pb2 import (
     DescriptorProto,
@@ -69,6 +70,16 @@ def official(name: str) -> Schema:
         return _SIMPLE[field.type]
 
     return message(f".{name}")
+
+
+@functools.cache
+def _validator(name: str) -> Any:
+    return jsonschema.Draft202012Validator(official(name))
+
+
+def check(name: str, fields: Schema) -> None:
+    """Raises ValidationError where ``fields`` are no message ``foxglove.<Name>``."""
+    _validator(name).validate(fields)
 
 
 def _closed(properties: Schema) -> Schema:

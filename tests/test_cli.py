@@ -159,7 +159,7 @@ def carmen_log() -> str:
 @pytest.mark.parametrize(
     "command",
     [["run"], ["check"], ["replay"], ["localize"], ["map"], ["map", "info"], ["map", "render"],
-     ["map", "export"], ["watch"], ["call"]],
+     ["map", "export"], ["watch"], ["foxglove"], ["call"]],
 )  # fmt: skip
 def test_help_shows_an_example_of_the_command(command: list[str]) -> None:
     done = amr_slam(*command, "--help")
@@ -636,3 +636,18 @@ def test_names_cannot_write_a_second_line(tmp_path: Path) -> None:
     done = amr_slam("map", "info", f"{tmp_path}/a\nb\x1b[31m.amrmap")
     assert done.status == 1
     assert "a b?[31m.amrmap" in error_line(done)
+
+
+def test_without_its_library_foxglove_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    monkeypatch.delitem(sys.modules, "amr_slam.watching.foxglove_live", raising=False)
+    assert main(["foxglove"]) == 2
+    assert "pip install 'foxglove-sdk" in capsys.readouterr().err
+
+
+def test_a_port_that_is_none_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        main(["foxglove", "--port", "65536"])
+    assert "is not a port" in capsys.readouterr().err
