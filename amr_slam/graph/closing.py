@@ -175,7 +175,7 @@ def doubtful(found: Hypothesis, rules: ClosingParams) -> bool:
     position along its worst direction is known too little."""
     weakest = float(np.linalg.eigvalsh(found.alignment.information[:2, :2])[0])
     return (
-        found.conflict > rules.conflict or found.passes > rules.passes or weakest < rules.weak_m**-2
+        found.conflict > rules.conflict or found.score < rules.score or weakest < rules.weak_m**-2
     )
 
 

@@ -111,8 +111,9 @@ def run(effort: Effort) -> Section:
         title=f"A warehouse of {area_m2:.0f} m2 in which every aisle looks like the next",
         text=(
             f"{seeds} seeds, {scans / 1800.0:.1f} hours each: a scan of one S300 in 2 s and 1 m, "
-            f"mapped from nothing by the engine with simulated wheels. In every block of racks the same bays are filled, "
-            f"but for one in ten. A closure is false where it is off by more than {_FALSE_M} m or "
+            f"mapped from nothing by the engine with simulated wheels. In every block of racks the "
+            f"same bays are filled, but for one in ten. A closure is false where it is off by "
+            f"more than {_FALSE_M} m or "
             f"{math.degrees(_FALSE_RAD):.0f} degrees from the truth: {false} of "
             f"{sum(one.loops for one in mapped)} were. Times are processor time; the most "
             f"expensive scans are those at which a loop moves all nodes."
