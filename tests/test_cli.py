@@ -158,7 +158,7 @@ def carmen_log() -> str:
 @pytest.mark.parametrize(
     "command",
     [["run"], ["check"], ["replay"], ["localize"], ["map"], ["map", "info"], ["map", "render"],
-     ["map", "export"], ["watch"], ["call"]],
+     ["map", "export"], ["map", "report"], ["watch"], ["call"]],
 )  # fmt: skip
 def test_help_shows_an_example_of_the_command(command: list[str]) -> None:
     done = amr_slam(*command, "--help")
