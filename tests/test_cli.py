@@ -159,7 +159,8 @@ def carmen_log() -> str:
 @pytest.mark.parametrize(
     "command",
     [["run"], ["check"], ["replay"], ["localize"], ["map"], ["map", "info"], ["map", "render"],
-     ["map", "export"], ["watch"], ["foxglove"], ["call"]],
+     ["map", "export"], ["map", "import"], ["map", "edit"], ["map", "report"], ["map", "diff"],
+     ["map", "accept"], ["map", "rollback"], ["watch"], ["view"], ["foxglove"], ["call"]],
 )  # fmt: skip
 def test_help_shows_an_example_of_the_command(command: list[str]) -> None:
     done = amr_slam(*command, "--help")

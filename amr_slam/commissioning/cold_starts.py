@@ -25,7 +25,7 @@ Progress = Callable[[float], None]
 
 # Signatures for finding suspects: half the directions are enough, and a quarter of the work.
 _SECTIONS = 60
-_MOST_COMPARED = 1600
+_MOST_COMPARED = 1000
 # Nearer than this, and turned by less, a place is itself.
 _ELSEWHERE_M, _ELSEWHERE_RAD = 2.0, math.radians(30.0)
 
