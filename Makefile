@@ -6,7 +6,7 @@ SECONDS ?= 60
 TARGET ?= all
 RUNS ?= 1000000
 
-.PHONY: install demo test check bench fuzz faults evaluate peers system-test clean lock
+.PHONY: install demo test check bench fuzz faults coverage evaluate peers system-test clean lock
 
 install: $(VENV)/.installed          ## .venv with amr-slam in it, as robots get it
 
@@ -51,6 +51,10 @@ fuzz: $(VENV)/.fuzz                  ## parsers against odd bytes: make fuzz TAR
 
 faults: $(VENV)/.dev                 ## docs/reliability.md anew: every fault on a whole robot, 20 minutes
 	$(BIN)/python tools/faults.py $(ARGS) --out docs/reliability.md
+
+coverage: $(VENV)/.dev               ## branch coverage of the whole suite, with the processes that it starts
+	-$(BIN)/python -m pytest -n 2 --dist worksteal --cov --cov-report= -o timeout=600 $(ARGS)
+	$(BIN)/python tools/covered.py --write
 
 $(VENV)/.peers: requirements-peers.lock $(VENV)/.dev
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
