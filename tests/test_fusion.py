@@ -729,6 +729,32 @@ def test_what_the_wheels_missed_is_spread_over_the_steps_by_their_noise() -> Non
     np.testing.assert_array_equal(far.by_calibration, plain.by_calibration)
 
 
+def test_the_noise_is_of_what_the_wheels_report() -> None:
+    """Wheels that report half of the way and a quarter of the turn: the rest is noise, too."""
+    trail = Trail(0)
+    for k in range(20):
+        trail.append(arc(k * STEP_NS, turn_rad=0.0))
+    plain, stretched = (
+        trail.compose(0, 20 * STEP_NS, np.array(known)).noise
+        for known in ([0.0] * 4, [1.0, 3.0, 0.0, 0.0])
+    )
+    assert stretched[0, 0] == pytest.approx(4.0 * plain[0, 0])
+    assert stretched[2, 2] == pytest.approx(16.0 * plain[2, 2])
+
+
+@pytest.mark.parametrize("rate_hz", [10, 100])
+def test_turns_that_are_noise_lead_to_no_other_part_of_the_map(rate_hz: int) -> None:
+    trail, step_ns = Trail(0), S // rate_hz
+    for k in range(2 * rate_hz):
+        shaking = 0.005 if k % 2 else -0.005
+        trail.append(arc(k * step_ns, 0.5 / rate_hz, 0.05 / rate_hz + shaking, step_ns))
+    composed = trail.compose(0, 2 * S)
+    assert composed.travel_m == pytest.approx(1.0, rel=1e-3)
+    assert composed.turn_rad == pytest.approx(0.1, rel=1e-6)
+    assert composed.turn_rad == pytest.approx(abs(composed.delta.theta_rad))
+    assert trail.compose(2 * S, 0).turn_rad == composed.turn_rad
+
+
 def test_noise_teaches_next_to_nothing_of_the_wheels() -> None:
     """Straight ahead, all turns that the wheels report are noise: no reason to believe that they
     report too much of them. Taken as they come, they make the yaw scale -0.29, sure to 0.08."""

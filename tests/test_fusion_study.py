@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -90,6 +92,7 @@ def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trial
         covariances=np.zeros((100, 200, 3, 3)),
         whitened=size * np.stack(white, axis=1),
         error95_m=nothing[..., 0],
+        is_told=np.ones((100, 200), dtype=np.bool_),
     )
 
 
@@ -106,6 +109,28 @@ def test_an_honest_filter_reaches_the_share_that_honest_filters_reach() -> None:
         other = synthetic(rng, size)
         assert other.consistent < 0.8
         assert other.honest(rng)[0] == pytest.approx(low, abs=0.05)
+
+
+def test_what_no_scan_can_have_told_is_parted_from_what_the_filter_should_know() -> None:
+    """A slip of one run in ten, unseen for a while, spoils the mean of all, not of the others."""
+    one = synthetic(np.random.default_rng(1), 1.0)
+    whitened, is_told = one.whitened.copy(), one.is_told.copy()
+    whitened[:10, 50:150] *= 10.0
+    is_told[:10, 50:150] = False
+    slipped = replace(one, whitened=whitened, is_told=is_told)
+    assert slipped.consistent < 0.55
+    assert abs(slipped.consistent_told - one.consistent) < 0.1
+
+
+def test_a_slip_is_untold_until_a_scan_of_after_it_has_come() -> None:
+    slippery = Scenario(name="slip", duration_s=30.0, slips=2.0)
+    drive = record(slippery, WheelErrors(), np.random.default_rng(0))
+    ((begin_ns, end_ns),) = drive.slips_ns
+    told_ns = min(at_ns for at_ns, fix in drive.fixes if fix.stamp_ns >= end_ns)
+    assert not drive.has_untold_slip(begin_ns - 1)
+    assert drive.has_untold_slip(begin_ns)
+    assert drive.has_untold_slip(told_ns - 1)
+    assert not drive.has_untold_slip(told_ns)
 
 
 def test_wheels_are_drawn_within_what_can_be_learned() -> None:

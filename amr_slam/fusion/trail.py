@@ -35,12 +35,15 @@ class Composed:
     delta: Pose2
     """``start_from_end`` of the base frame."""
     noise: Array
-    """(3, 3) of the wheels' own noise, in the end's frame (right perturbation)."""
+    """(3, 3) of the wheels' own noise, in the end's frame (right perturbation): of what they
+    report, so that wheels which report too little are as much noisier."""
     by_calibration: Array
     """(3, 4) derivative of the same perturbation by travel, yaw, bend and lag."""
     travel_m: float
+    """Way that the wheels reported, forth and back summed."""
     turn_rad: float
-    """Way and turn that the wheels reported, forth and back summed."""
+    """By how much the heading has changed, at least 0. Summed step by step it would be the wheels'
+    noise for the most part, and more the oftener they are read."""
 
     def reversed(self) -> Composed:
         """``end_from_start``, as unsure."""
@@ -135,7 +138,7 @@ class Trail:
         start_ns, end_ns = start_ns + lag_ns, end_ns + lag_ns
         twists, noises = self._pieces(start_ns, end_ns)
         scale = np.array([1.0 + calibration[0], 1.0 + calibration[0], 1.0 + calibration[1]])
-        true = twists * scale
+        true, noises = twists * scale, noises * np.outer(scale, scale)
         true[:, 2] += calibration[2] * twists[:, 0]
         ends, middles = _chained(true)
         delta = Pose2.from_array(ends[-1]) if len(ends) else Pose2.identity()
@@ -150,7 +153,7 @@ class Trail:
             noise=to_end @ _carried_noise(ends, noises) @ to_end.T,
             by_calibration=np.column_stack([to_end @ _sensitivity(middles, twists), by_lag]),
             travel_m=float(change[3]),
-            turn_rad=float(change[4]),
+            turn_rad=abs(float(ends[-1, 2])) if len(ends) else 0.0,
         )
 
     def between(self, start_ns: int, end_ns: int) -> Motion:

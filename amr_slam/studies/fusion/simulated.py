@@ -79,6 +79,13 @@ class Recording:
     """At each wheel sample's instant on the scans' clock (its stamp)."""
     fixes: tuple[tuple[int, SlamPose], ...]
     """With the instant (ns) of arrival, in that order."""
+    slips_ns: tuple[tuple[int, int], ...] = ()
+    """Begin and end of each slip, on the scans' clock."""
+
+    def has_untold_slip(self, stamp_ns: int) -> bool:
+        """Whether wheels have slipped by an instant and no scan of the time after has come yet."""
+        newest_ns = max((fix.stamp_ns for at_ns, fix in self.fixes if at_ns <= stamp_ns), default=0)
+        return any(begin <= stamp_ns and newest_ns < end for begin, end in self.slips_ns)
 
 
 def record(
@@ -99,12 +106,12 @@ def record(
     poses = _path(speeds * dt_s, turns * dt_s)
     at = np.arange(0.0, scenario.duration_s, dt_s)
     truth = tuple(Pose2.from_array(row) for row in _interpolated(times, poses, at))
-    wheels = _wheels(scenario, errors, rng, times, speeds, turns, at)
+    wheels, slips = _wheels(scenario, errors, rng, times, speeds, turns, at)
     stamps = np.arange(0.5 * scan_period_s, scenario.duration_s - 1.0, scan_period_s)
     stamps = stamps + rng.uniform(-0.02, 0.02, len(stamps))
     way = np.interp(stamps, times, np.cumsum((np.abs(speeds) + np.abs(turns)) * dt_s))
     fixes = _fixes(scenario, rng, stamps, _interpolated(times, poses, stamps), way)
-    return Recording(wheels=wheels, truth=truth, fixes=fixes)
+    return Recording(wheels=wheels, truth=truth, fixes=fixes, slips_ns=slips)
 
 
 def _speeds(scenario: Scenario, times: Array, rng: np.random.Generator) -> tuple[Array, Array]:
@@ -140,7 +147,8 @@ def _wheels(
     speeds: Array,
     turns: Array,
     at: Array,
-) -> tuple[WheelSample, ...]:
+) -> tuple[tuple[WheelSample, ...], tuple[tuple[int, int], ...]]:
+    """What the wheels tell, and when they slipped (:attr:`Recording.slips_ns`)."""
     dt_s = times[1] - times[0]
     ways, turned = speeds * dt_s, turns * dt_s
     reported = ways / (1.0 + errors.travel)
@@ -151,17 +159,19 @@ def _wheels(
     both += rng.normal(0.0, 1.0, both.shape) * np.sqrt(errors.random_m2_per_m * np.abs(both))
     scrub = rng.normal(0.0, 1.0, len(both)) * np.sqrt(DRIVE.yaw_rad2_per_m * np.abs(both).mean(1))
     both += 0.5 * _TRACK_M * np.column_stack([-scrub, scrub])
-    for begin, end, wheel, size_m in _slips(scenario, rng):
+    slips = _slips(scenario, rng)
+    for begin, end, wheel, size_m in slips:
         inside = (times >= begin) & (times < end)
         both[inside, wheel] += size_m / max(1, int(inside.sum()))
     summed = np.vstack([np.zeros(2), np.cumsum(both, axis=0)[:-1]])
     angles = np.column_stack(
         [np.interp(at - errors.lag_s, times, summed[:, k]) / _RADIUS_M for k in range(2)]
     )
-    return tuple(
+    samples = tuple(
         WheelSample(stamp_ns=round(1e9 * t), left_rad=float(left), right_rad=float(right))
         for t, (left, right) in zip(at, angles, strict=True)
     )
+    return samples, tuple((round(1e9 * begin), round(1e9 * end)) for begin, end, *_ in slips)
 
 
 def _slips(scenario: Scenario, rng: np.random.Generator) -> list[tuple[float, float, int, float]]:

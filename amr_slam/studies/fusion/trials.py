@@ -9,6 +9,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from amr_slam.fusion import FilterParams
@@ -16,7 +17,8 @@ from amr_slam.geometry import Array, Pose2
 from amr_slam.studies.fusion.product import estimates, localizer, off, twist_off
 from amr_slam.studies.fusion.simulated import Scenario, WheelErrors, record, start_covariance
 
-_EVERY_S: Final = 0.25
+EVERY_S: Final = 0.25
+"""Between two estimates of a run."""
 # How often an honest filter's runs are drawn to see how much their share varies.
 _DRAWS: Final = 400
 _CHUNK: Final = 5
@@ -35,6 +37,9 @@ class Trials:
     twist in units of what the covariance claims: white and of variance 1 where that is true."""
     error95_m: Array
     """(runs, steps)"""
+    is_told: NDArray[np.bool_]
+    """(runs, steps) whether all that the wheels have missed so far is in a scan that has come: of a
+    slip before that nobody can know."""
 
     @property
     def nees(self) -> Array:
@@ -63,34 +68,48 @@ class Trials:
     def band(self) -> tuple[float, float]:
         """Between these lie 95 % of the means of NEES over so many runs, if the covariance is
         true."""
-        freedom = 3 * len(self.whitened)
-        low, high = (float(chi2.ppf(p, freedom)) / len(self.whitened) for p in (0.025, 0.975))
-        return low, high
+        low, high = _bands(np.array([len(self.whitened)]))
+        return float(low[0]), float(high[0])
 
     @property
     def consistent(self) -> float:
         """Share of the steps at which the mean NEES over the runs lies in its band."""
-        return self._inside(self.whitened)
+        return _inside(self.whitened, np.ones_like(self.is_told))
 
-    def honest(self, rng: np.random.Generator) -> tuple[float, float]:
+    @property
+    def consistent_told(self) -> float:
+        """The same over those runs that are told of all their slips at that step."""
+        return _inside(self.whitened, self.is_told)
+
+    def honest(self, rng: np.random.Generator, *, told: bool = False) -> tuple[float, float]:
         """Between these lie 90 % of the shares that filters of true covariance reach with so many
-        runs, their errors correlated in time as these are.
+        runs, their errors correlated in time as these are. ``told``: as :attr:`consistent_told`.
 
         Drawn: Gaussian mixtures of the runs at hand, made white at every step.
         """
         runs = len(self.whitened)
-        spread = np.einsum("rti,rtj->tij", self.whitened, self.whitened) / runs
+        whitened = self.whitened * self.is_told[..., None] if told else self.whitened
+        spread = np.einsum("rti,rtj->tij", whitened, whitened) / runs
         to_white = np.linalg.inv(np.linalg.cholesky(spread))
-        white = np.einsum("tij,rtj->rti", to_white, self.whitened) / np.sqrt(runs)
+        white = np.einsum("tij,rtj->rti", to_white, whitened) / np.sqrt(runs)
+        every = np.ones_like(self.is_told)
         draws = (rng.standard_normal((runs, runs)) for _ in range(_DRAWS))
-        shares = [self._inside(np.tensordot(draw, white, axes=1)) for draw in draws]
+        shares = [_inside(np.tensordot(draw, white, axes=1), every) for draw in draws]
         low, high = np.quantile(shares, (0.05, 0.95))
         return float(low), float(high)
 
-    def _inside(self, whitened: Array) -> float:
-        low, high = self.band
-        by_step = np.square(whitened).sum(axis=-1).mean(axis=0)
-        return float(np.mean((by_step >= low) & (by_step <= high)))
+
+def _inside(whitened: Array, counted: NDArray[np.bool_]) -> float:
+    """Share of the steps at which the mean over the runs that count there lies in its band."""
+    runs = counted.sum(axis=0)
+    low, high = _bands(runs)
+    by_step = (np.square(whitened).sum(axis=-1) * counted).sum(axis=0) / runs
+    return float(np.mean((by_step >= low) & (by_step <= high)))
+
+
+def _bands(runs: NDArray[np.int64]) -> tuple[Array, Array]:
+    """(n,) and (n,) see :attr:`Trials.band`, for each number of runs."""
+    return chi2.ppf(0.025, 3 * runs) / runs, chi2.ppf(0.975, 3 * runs) / runs
 
 
 def trials(
@@ -110,15 +129,21 @@ def trials(
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(workers, mp_context=context) as pool:
             found = list(pool.map(one, range(runs), chunksize=_CHUNK))
-    errors, covariances, whitened, claims = (
+    errors, covariances, whitened, claims, is_told = (
         np.array(column) for column in zip(*found, strict=True)
     )
-    return Trials(errors=errors, covariances=covariances, whitened=whitened, error95_m=claims)
+    return Trials(
+        errors=errors,
+        covariances=covariances,
+        whitened=whitened,
+        error95_m=claims,
+        is_told=is_told,
+    )
 
 
 def _run(
     scenario: Scenario, params: FilterParams, seed: int, run: int
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, NDArray[np.bool_]]:
     """One drive's columns of :class:`Trials`."""
     rng = np.random.default_rng((seed, run))
     wrong = believed(params, rng)
@@ -126,15 +151,18 @@ def _run(
     spread = start_covariance()
     start = drive.truth[0].as_array() + rng.normal(0.0, 1.0, 3) * np.sqrt(np.diag(spread))
     robot = localizer(params, Pose2.from_array(start), spread)
-    every = round(_EVERY_S / (1e-9 * drive.wheels[1].stamp_ns))
+    every = round(EVERY_S / (1e-9 * drive.wheels[1].stamp_ns))
     rows = []
     for one, truth in estimates(drive, robot, every):
         assert robot.filter is not None
         own, covariance = robot.filter.map_from_base, robot.filter.covariance
         white = np.linalg.solve(np.linalg.cholesky(covariance), twist_off(own, truth))
-        rows.append((off(one.map_from_base, truth), one.covariance, white, one.error95_m))
-    errors, covariances, whitened, claims = (np.array(column) for column in zip(*rows, strict=True))
-    return errors, covariances, whitened, claims
+        is_told = not drive.has_untold_slip(one.stamp_ns)
+        rows.append((off(one.map_from_base, truth), one.covariance, white, one.error95_m, is_told))
+    errors, covariances, whitened, claims, told = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
+    return errors, covariances, whitened, claims, told
 
 
 def believed(params: FilterParams, rng: np.random.Generator) -> WheelErrors:
