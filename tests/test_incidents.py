@@ -16,6 +16,7 @@ from amr_slam.recording import read_log
 from amr_slam.samples import Link, RawBytes, State, Way
 from amr_slam.service import recorder as module
 from amr_slam.service.incidents import Incidents
+from amr_slam.service.record_file import LEAST_FREE_BYTES
 from amr_slam.service.recorder import Recorder
 
 S = 1_000_000_000
@@ -189,7 +190,7 @@ def test_on_a_full_disk_automatic_recordings_give_way(
 ) -> None:
     with Recording(tmp_path) as recording:
         first = recording.save("first", automatic=True)
-        free = iter([0, module.LEAST_FREE_BYTES + (1 << 30)])
+        free = iter([0, LEAST_FREE_BYTES + (1 << 30)])
         monkeypatch.setattr(module, "free_bytes", lambda _: next(free))
         asked = recording.save("asked", automatic=False)
         assert asked.exists()
