@@ -54,24 +54,29 @@ class Hub:
         self.link = Link(up=False, text=f"connecting to {settings.endpoint}")
         self.robots: dict[str, str] = {}
         """By name: the JSON that pages are sent; a new string whenever there is something new."""
-        self.ticks = 0
 
     def views(self) -> Mapping[str, RobotView]:
         return {} if self.listener is None else self.listener.views()
 
     async def run(self) -> None:
-        """Until cancelled."""
-        while self.listener is None:
-            await self._open()
+        """Until cancelled. Ticks also while nobody answers: a page that hears none is blind."""
+        opening = asyncio.create_task(self._open())
         looked_s = -math.inf
-        while True:
-            now_s = time.monotonic()
-            if now_s - looked_s >= _LINK_S:
-                looked_s = now_s
-                self._look_at_link()
-            self._tick(self._rates.rows(self.listener.views(), "name", now_s))
-            await self._notify()
-            await asyncio.sleep(max(0.0, TICK_S - (time.monotonic() - now_s)))
+        try:
+            while True:
+                now_s = time.monotonic()
+                if self.listener is not None:
+                    if now_s - looked_s >= _LINK_S:
+                        looked_s = now_s
+                        self._look_at_link(self.listener)
+                    self._tick(self._rates.rows(self.listener.views(), "name", now_s))
+                elif opening.done():
+                    opening.result()  # raises what it has failed with
+                async with self._ticked:
+                    self._ticked.notify_all()
+                await asyncio.sleep(max(0.0, TICK_S - (time.monotonic() - now_s)))
+        finally:
+            opening.cancel()
 
     async def next_tick(self) -> None:
         async with self._ticked:
@@ -101,26 +106,26 @@ class Hub:
                         following.undeclare()  # type: ignore[no-untyped-call]  # as in client
 
     async def _open(self) -> None:
+        """However long nobody answers."""
         settings = self._settings
-        try:
-            self.listener = await asyncio.to_thread(
-                FleetListener,
-                settings.endpoint,
-                settings.robots,
-                prefix=settings.prefix,
-                keys=settings.keys,
-                connect_timeout_s=_CONNECT_S,
-                full_rate=settings.full_rate,
-                queue_size=0,
-            )
-        except SessionError as error:
-            self._set_link(Link(up=False, text=str(error)))
-            await self._notify()
-            await asyncio.sleep(_AGAIN_S)
+        while self.listener is None:
+            try:
+                self.listener = await asyncio.to_thread(
+                    FleetListener,
+                    settings.endpoint,
+                    settings.robots,
+                    prefix=settings.prefix,
+                    keys=settings.keys,
+                    connect_timeout_s=_CONNECT_S,
+                    full_rate=settings.full_rate,
+                    queue_size=0,
+                )
+            except SessionError as error:
+                self._set_link(Link(up=False, text=str(error)))
+                await asyncio.sleep(_AGAIN_S)
 
-    def _look_at_link(self) -> None:
-        assert self.listener is not None
-        info = self.listener.session.info
+    def _look_at_link(self, listener: FleetListener) -> None:
+        info = listener.session.info
         up = bool(info.routers_zid() or info.peers_zid())
         endpoint = self._settings.endpoint
         text = f"connected to {endpoint}" if up else f"{endpoint} is gone; trying again"
@@ -139,14 +144,10 @@ class Hub:
                 self._told[view.robot] = view, row.state, row.rate_hz
                 self.robots[view.robot] = json.dumps(told(row), separators=(",", ":"))
 
-    async def _notify(self) -> None:
-        self.ticks += 1
-        async with self._ticked:
-            self._ticked.notify_all()
-
 
 def told(row: Row) -> dict[str, Any]:
-    """A robot as pages are told of it, ten times a second at most."""
+    """A robot as pages are told of it, ten times a second at most. ``received_s``: on the server's
+    monotonic clock, which each tick tells."""
     view, pose = row.view, row.view.pose
     values: dict[str, Any] = {
         "robot": view.robot,
@@ -172,7 +173,8 @@ def told(row: Row) -> dict[str, Any]:
             "tt": covariance[8],
             "error95_m": known(pose.error95_m),
             "since_fix_s": known(pose.since_fix_s),
-            "age_s": row.age_s,
+            "age_s": pose.age_s,
+            "received_s": view.pose_received_s,
             "epoch": pose.epoch,
             "map": pose.map,
             "fault": pose.fault,

@@ -104,6 +104,7 @@ class Page:
         rest = {
             "type": "tick",
             "time_s": time.time(),
+            "monotonic_s": time.monotonic(),
             "link": {"up": hub.link.up, "text": hub.link.text},
             "statuses": statuses,
             "scans": scans,
@@ -121,11 +122,13 @@ class Page:
         names = said.get("scans") if isinstance(said, dict) else None
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise _WrongError("the page has sent what nobody understands")
-        unknown = sorted(set(names) - set(self._hub.views()))
+        views = self._hub.views()
+        unknown = sorted(set(names) - set(views))
         if unknown:
             raise _WrongError(f"no robot {unknown[0]:.40} is known here")
         wanted = frozenset(names[:MAX_SCANS])
         self._hub.want_scans(wanted - self._scans_of)
         self._hub.unwant_scans(self._scans_of - wanted)
+        # What is there from before nobody can date: the next one is shown.
+        self._scans |= {name: views[name].scan for name in wanted - self._scans_of}
         self._scans_of = wanted
-        self._scans = {name: scan for name, scan in self._scans.items() if name in wanted}

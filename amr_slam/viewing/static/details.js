@@ -5,6 +5,7 @@ import { metres, seconds } from "./list.js";
 import { drawIcon, STATES } from "./states.js";
 
 const degrees = (radians) => `${((180 / Math.PI) * radians).toFixed(1)}°`;
+const OLD = new Set(["absent", "stale"]);
 const LINKS = { OK: ["●", "ok"], STALE: ["▲", "warn"], LOST: ["✕", "alarm"] };
 
 function make(kind, className, text = "") {
@@ -47,6 +48,7 @@ export class Details {
     if (!robot) return;
     const one = store.shown().find(({ name }) => name === store.selected);
     const live = store.past === null;
+    const fresh = live && !OLD.has(one.state); // else what it told last is no word on now
     if (this.drawn !== `${one.state}${palette.ink}`) {
       this.drawn = `${one.state}${palette.ink}`;
       drawIcon(this.icon, one.state, palette);
@@ -54,13 +56,13 @@ export class Details {
     this.place.dataset.state = one.state;
     this.#text(this.name, robot.robot);
     this.#text(this.says, `${STATES[one.state].word}. ${STATES[one.state].says}`);
-    this.#lines(this.faults, "p", live ? this.#complaints(robot) : [], (line, text) => this.#text(line, text));
-    this.#lines(this.numbers, "div", this.#values(robot, one.pose, live), (line, [name, value]) => {
+    this.#lines(this.faults, "p", live ? this.#complaints(robot, fresh) : [], (line, text) => this.#text(line, text));
+    this.#lines(this.numbers, "div", this.#values(robot, one.pose, live, fresh), (line, [name, value]) => {
       if (!line.children.length) line.append(make("dt"), make("dd"));
       this.#text(line.children[0], name);
       this.#text(line.children[1], value);
     });
-    this.#lines(this.health, "li", live ? parts(robot) : [], (line, [name, part]) => this.#part(line, name, part));
+    this.#lines(this.health, "li", fresh ? parts(robot) : [], (line, [name, part]) => this.#part(line, name, part));
     const why = this.#whyNot(live);
     for (const button of this.buttons) button.disabled = Boolean(why);
     this.#text(this.why, why);
@@ -74,25 +76,25 @@ export class Details {
     return "Looking only: this view was started without --allow-commands.";
   }
 
-  #complaints(robot) {
+  #complaints(robot, fresh) {
     const status = robot.status ?? {};
-    const said = [robot.pose?.fault, status.fault, status.advice].filter(Boolean);
+    const said = fresh ? [robot.pose?.fault, status.fault, status.advice].filter(Boolean) : [];
     if (robot.refused) said.push(`${robot.refused} of its messages made no sense`);
     return [...new Set(said)];
   }
 
-  #values(robot, pose, live) {
+  #values(robot, pose, live, fresh) {
     if (!pose) return [["Pose", "none yet"]];
     const values = [
       ["x, y", `${pose.x.toFixed(3)}, ${pose.y.toFixed(3)} m`],
       ["Heading", degrees(pose.theta)],
       ["Error, 95 %", metres(pose.error95_m ?? Infinity)],
     ];
-    if (!live) return values;
+    if (live) values.push(["Pose age", seconds(this.store.age(robot))]);
+    if (!fresh) return values;
     const explained = robot.status?.explained;
     return [
       ...values,
-      ["Pose age", seconds(this.store.age(robot))],
       ["Since a fix", seconds(pose.since_fix_s ?? Infinity)],
       ["Speed", `${pose.vx.toFixed(2)} m/s, ${degrees(pose.omega)}/s`],
       ["Scan on walls", explained == null ? "–" : `${Math.round(100 * explained)} %`],

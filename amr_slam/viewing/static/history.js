@@ -3,6 +3,7 @@
 export const SPAN_S = 600;
 const PERIOD_S = 0.5;
 const ROWS = 1500;
+const MOST_MAPS = 256; // names come from the network
 const FIELDS = ["x", "y", "theta", "xx", "xy", "yy", "error", "epoch", "map", "state"];
 const FRESH_S = 1.5; // an older row says nothing of an instant
 
@@ -90,7 +91,7 @@ export class History {
 
   #numberOf(map) {
     if (map === null) return -1;
-    if (!this.maps.includes(map)) this.maps.push(map);
+    if (!this.maps.includes(map) && this.maps.length < MOST_MAPS) this.maps.push(map);
     return this.maps.indexOf(map);
   }
 

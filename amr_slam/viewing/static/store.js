@@ -16,6 +16,7 @@ export class Store {
     this.right = "look";
     this.allowCommands = false;
     this.clock = 0; // server time less ours, s
+    this.monotonic = 0; // its monotonic clock less performance.now(), s
     this.heard = -Infinity; // performance.now() of the newest tick
     this.past = null; // seconds before now that are looked at; null: live
   }
@@ -31,10 +32,10 @@ export class Store {
   hear(tick) {
     this.heard = performance.now();
     this.clock = tick.time_s - Date.now() / 1000;
+    this.monotonic = tick.monotonic_s - this.heard / 1000;
     this.link = tick.link;
     for (const told of tick.robots) {
-      const robot = this.robot(told.robot);
-      Object.assign(robot, told, { heard: this.heard });
+      Object.assign(this.robot(told.robot), told);
     }
     for (const status of tick.statuses) this.robot(status.robot).status = status;
     for (const scan of tick.scans) this.robot(scan.robot).scan = { ...scan, heard: this.heard };
@@ -57,7 +58,9 @@ export class Store {
 
   /** Seconds since the wheel sample in the newest pose. */
   age(robot) {
-    return robot.pose ? robot.pose.age_s + (performance.now() - robot.heard) / 1000 : Infinity;
+    if (!robot.pose) return Infinity;
+    const since = performance.now() / 1000 + this.monotonic - robot.pose.received_s;
+    return robot.pose.age_s + Math.max(0, since);
   }
 
   /** All robots as they are, or were at the instant that is looked at: {robot, state, pose}. */
