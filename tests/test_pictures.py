@@ -110,8 +110,8 @@ def test_maps_side_by_side_have_one_scale_and_say_what_is_what(tmp_path: Path) -
     assert (near[..., 0] - near[..., 2]).max() > 0.3  # vermilion on the blue wall
 
 
-def test_no_two_of_seven_look_alike_in_colour_line_and_mark() -> None:
-    looks = [style.look(number) for number in range(7)]
+def test_no_two_things_in_a_chart_look_alike() -> None:
+    looks = [style.look(number) for number in range(9)]
+    assert len({look.marker for look in looks}) == 9
     assert len({look.colour for look in looks}) == 7
-    assert len({look.marker for look in looks}) == 7
-    assert style.look(7) == looks[0]
+    assert len({(look.colour, look.line) for look in looks}) == 9

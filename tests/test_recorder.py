@@ -29,6 +29,7 @@ from amr_slam.recording.mcap_file import records
 from amr_slam.samples import RawBytes, RawFrame, Scan, State, Way, WheelSample, untapped
 from amr_slam.service import record_file
 from amr_slam.service import recorder as module
+from amr_slam.service.map_view import MapView
 from amr_slam.service.recorder import Recorder
 from amr_slam.serving import Asked, Picture
 from amr_slam.wire import MapImage
@@ -214,6 +215,19 @@ def test_a_recording_shows_the_map_that_was_drawn_once(
         assert shown["column_count"] == 3
         cells = np.frombuffer(base64.b64decode(shown["data"]), np.uint8).reshape(2, 3, 4)
         assert (cells[1] == [0, 0, 0, 255]).all()  # the upper row is the last
+
+
+def test_a_map_that_grows_is_drawn_again_each_minute() -> None:
+    view, asked = MapView(), list[Asked]()
+    view.put = asked.append
+    for mode, now_s, drawn in (
+        ("mapping", 100.0, 1),
+        ("mapping", 159.0, 1),
+        ("mapping", 161.0, 2),
+        ("localization", 300.0, 2),
+    ):
+        view.follow(status_of(mode=mode, state=State.MAPPING), now_s)
+        assert len(asked) == drawn
 
 
 def test_without_a_ring_nothing_is_tapped_and_nothing_saved(

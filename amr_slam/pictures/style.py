@@ -50,20 +50,19 @@ class Look:
     """Filled, as matplotlib names it."""
 
 
-LOOKS: Final = (
-    Look(colour=BLUE, line="-", marker="o"),
-    Look(colour=VERMILION, line="--", marker="s"),
-    Look(colour=GREEN, line="-.", marker="^"),
-    Look(colour=PURPLE, line=":", marker="D"),
-    Look(colour=ORANGE, line="-", marker="v"),
-    Look(colour=SKY, line="--", marker="P"),
-    Look(colour=INK, line="-.", marker="X"),
-)
+# Of lengths that have no common divisor: no two of 252 things look alike.
+_COLOURS: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, INK)
+_LINES: Final = ("-", "--", "-.", ":")
+_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "*", "h")
 
 
 def look(number: int) -> Look:
-    """Of the ``number``-th thing, from 0; the eighth looks like the first."""
-    return LOOKS[number % len(LOOKS)]
+    """Of the ``number``-th thing, from 0."""
+    return Look(
+        colour=_COLOURS[number % len(_COLOURS)],
+        line=_LINES[number % len(_LINES)],
+        marker=_MARKERS[number % len(_MARKERS)],
+    )
 
 
 def sheet(width_in: float, height_in: float) -> Figure:

@@ -166,7 +166,7 @@ class Recorder:
             wanted = self._wanted
         for item in items:
             if isinstance(item, tuple) and isinstance(item[1], StatusMessage):
-                self._view.follow(item[1])
+                self._view.follow(item[1], 1e-9 * item[0])
         entries = [_entry(item) for item in items]
         now_ns = time.monotonic_ns()
         if overrun:

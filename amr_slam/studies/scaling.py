@@ -21,6 +21,7 @@ from amr_slam.studies.worlds import AREAS_M2, scene_of
 
 _TRIALS: Final = 100
 _NOISE_M: Final = 0.01
+_TICKS_M2: Final = (200, 500, 1000, 2000, 5000)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -179,6 +180,8 @@ def _figure(rows: Sequence[Row]) -> Picture:
         megabytes = [1e-6 * row.memory_bytes for row in some]
         memory.loglog(areas, megabytes, marked, color=drawn_as.colour, label=kind)
     for axes, says in ((cost, "processor time, ms, median"), (memory, "map in memory, MB")):
+        axes.set_xticks(_TICKS_M2, [f"{area:,}" for area in _TICKS_M2])
+        axes.minorticks_off()
         style.chart(axes, x="seen floor, m²", y=says, legend="upper left")
     return Picture(
         name="scaling",
