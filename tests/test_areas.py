@@ -15,8 +15,8 @@ L_SHAPE = np.array([[0, 0], [4, 0], [4, 1], [1, 1], [1, 3], [0, 3]], dtype=float
 def star(radii: list[float]) -> Array:
     """A simple polygon around the origin."""
     turns = np.arange(len(radii)) * (math.tau / len(radii))
-    outline: Array = np.array(radii)[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
-    return outline
+    corners: Array = np.array(radii)[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+    return corners
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
