@@ -64,6 +64,7 @@ class Closing:
 
         ``poses`` (n, 3), ``ways_m`` and ``drift``: of all nodes.
         """
+        rules = self._params.closing
         edges: list[Edge] = []
         pose = Pose2.from_array(poses[-1])
         near = self._within_reach(pose, poses, ways_m, drift, submaps.finished)
@@ -71,11 +72,14 @@ class Closing:
             closure = self._find(cloud, len(poses) - 1, number, submaps, expected, reach_m)
             if closure is None:
                 continue
-            witness = self._witness(closure, poses, ways_m)
+            others = self._witnesses(closure, poses, ways_m)
             self._waiting.append(closure)
-            if witness is not None:
-                edges += [one.edge for one in (witness, closure) if one not in self._closed]
-                self._closed |= {witness, closure}
+            # What drift may have taken beyond the reach of the search needs more to speak for it.
+            needed = rules.recall_witnesses - 1 if reach_m >= rules.most_m else 1
+            if len(others) >= needed:
+                agreeing = [*others[:needed], closure]
+                edges += [one.edge for one in agreeing if one not in self._closed]
+                self._closed.update(agreeing)
         return edges
 
     def _within_reach(
@@ -92,8 +96,7 @@ class Closing:
             if ways_m[-1] - ways_m[submap.rows[-1]] < rules.least_way_m:
                 continue
             reach_m = rules.reach_m + rules.drift * float(drift.ways_m[submap.rows].min())
-            if reach_m > rules.most_m:
-                continue
+            reach_m = min(reach_m, rules.most_m)
             expected = submap.map_from_submap(poses).inverse() @ pose
             distance_m, _ = submap.nearest(expected)
             if distance_m <= reach_m + rules.beyond_m:
@@ -149,19 +152,21 @@ class Closing:
         found = shortlist(cloud, target, rough[:, :3], params.finalists, params)
         return examine(cloud, target, found, len(rough), Rung.RESCUE, params)
 
-    def _witness(self, closure: Closure, poses: Array, ways_m: Sequence[float]) -> Closure | None:
-        """The newest earlier closure that says the same."""
+    def _witnesses(self, closure: Closure, poses: Array, ways_m: Sequence[float]) -> list[Closure]:
+        """The earlier closures that say the same, newest first."""
         rules = self._params.closing
         nearest_m, farthest_m = rules.apart_m
         here_m = ways_m[closure.row]
         self._waiting = [one for one in self._waiting if here_m - ways_m[one.row] <= farthest_m]
-        for other in reversed(self._waiting):
-            if other.submap != closure.submap or here_m - ways_m[other.row] < nearest_m:
-                continue
-            told = other.foretells(closure.row, poses)
-            if agree(told, closure.pose, rules.agree_m, rules.agree_rad):
-                return other
-        return None
+        return [
+            other
+            for other in reversed(self._waiting)
+            if other.submap == closure.submap
+            and here_m - ways_m[other.row] >= nearest_m
+            and agree(
+                other.foretells(closure.row, poses), closure.pose, rules.agree_m, rules.agree_rad
+            )
+        ]
 
 
 def agree(one: Pose2, other: Pose2, within_m: float, within_rad: float) -> bool:
