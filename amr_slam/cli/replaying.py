@@ -45,6 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
         grown = PointMap(source.slam.map, source.name)
     localizer = _localizer(source, starts_map=arguments.map is None)
     engine = SlamEngine(source.slam, grown, "mapping" if mapping else "localization")
+    if arguments.hold:
+        engine.hold()
     first_ns, last_ns = source.samples[0].stamp_ns, source.samples[-1].stamp_ns
     with Progress("replay", first_ns, last_ns) as progress:
         result = replay(source.samples, localizer, engine, progress.at)
@@ -85,6 +87,8 @@ def _checked_mapping(arguments: argparse.Namespace) -> bool:
         raise UsageError("--no-mapping needs a --map to localize in")
     if not mapping and arguments.map_out is not None:
         raise UsageError("--map-out needs --mapping: without it the map stays as it is")
+    if arguments.hold and (arguments.map is None or not mapping):
+        raise UsageError("--hold needs --map and --mapping: a map that grows on")
     outputs = (arguments.out, arguments.out_final, arguments.map_out, arguments.report)
     check_outputs(*outputs, source=arguments.log)
     return bool(mapping)
