@@ -22,7 +22,7 @@ from amr_slam.clouds import Cloud
 from amr_slam.engine import Mode, SlamEngine, SlamRequest, SlamResult
 from amr_slam.geometry import Array, Pose2
 from amr_slam.living import AcceptPolicy, ChangeKeeper
-from amr_slam.map import LoadedMap, MapError, PointMap, load_newest, save_map
+from amr_slam.map import LoadedMap, MapError, PointMap, load_map, load_newest, save_map
 from amr_slam.map.export import image_within, png_bytes
 from amr_slam.map.lineage import frame_of
 from amr_slam.params import SlamParams
@@ -282,6 +282,9 @@ class _Server:
         if done is None or loaded.complaint is not None:
             return None
         try:
+            if load_map(loaded.path)[1] != loaded.map_id:
+                _log.warning("changes are not accepted: %s is newer, load_map it", loaded.path)
+                return None
             map_id = save_map(done.map, loaded.path, keep=self._job.policy.keep)
         except MapError as error:
             _log.warning("changes are not accepted: %s", error)
@@ -293,6 +296,7 @@ class _Server:
         try:
             match request:
                 case SlamRequest():
+                    self._engine.utc_from_stamp_ns = time.time_ns() - time.monotonic_ns()
                     result = self._engine.update(request)
                     if result.moved is not None:
                         # What joined before lies elsewhere now: only the file can tell a new
@@ -349,7 +353,6 @@ class _Server:
         self._changes = self._watched(job, loaded)
         if self._changes is not None:
             self._engine.watcher = self._changes.watcher
-            self._engine.utc_from_stamp_ns = time.time_ns() - time.monotonic_ns()
         if job.hold and job.mode == "mapping":
             self._engine.hold()
 

@@ -151,6 +151,19 @@ def test_another_map_is_another_epoch_and_the_wheels_go_on() -> None:
     assert rig.requests[-1].map_from_base is None
 
 
+def test_a_newer_version_of_the_map_keeps_the_pose_until_a_scan_agrees() -> None:
+    rig = located()
+    before = rig.estimate
+    rig.localizer.restart("localization", keeps_pose=True)
+    after = rig.estimate
+    assert after.map_from_base.distance_to(before.map_from_base) < 1e-9
+    assert (after.epoch, after.state) == (before.epoch + 1, State.ODOMETRY_ONLY)
+    assert after.error95_m < 2.0 * before.error95_m + 0.1
+    rig.scan()
+    rig.drive(0.2)
+    assert rig.requests[-1].map_from_base is not None
+
+
 def test_no_pose_is_set_without_wheels_or_with_scanners_that_are_mounted_otherwise() -> None:
     rig = located()
     assert rig.localizer.objection() is None

@@ -49,6 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.no_loops:
         params = replace(params, closing=replace(params.closing, enabled=False))
     engine = SlamEngine(params, grown, "mapping" if mapping else "localization")
+    if arguments.hold:
+        engine.hold()
     first_ns, last_ns = source.samples[0].stamp_ns, source.samples[-1].stamp_ns
     with Progress("replay", first_ns, last_ns) as progress:
         result = replay(source.samples, localizer, engine, progress.at)
@@ -89,6 +91,8 @@ def _checked_mapping(arguments: argparse.Namespace) -> bool:
         raise UsageError("--no-mapping needs a --map to localize in")
     if not mapping and arguments.map_out is not None:
         raise UsageError("--map-out needs --mapping: without it the map stays as it is")
+    if arguments.hold and (arguments.map is None or not mapping):
+        raise UsageError("--hold needs --map and --mapping: a map that grows on")
     outputs = (arguments.out, arguments.out_final, arguments.map_out, arguments.report)
     check_outputs(*outputs, source=arguments.log)
     return bool(mapping)

@@ -35,7 +35,7 @@ def compare_maps(newer: PointMap, older: PointMap, against: str) -> MapDiff:
     if frame_of(newer) != frame_of(older) and common < _COMMON:
         raise OtherFrameError(
             f"only {common:.0%} of the older map's walls lie on the newer one's: they are in "
-            "different frames (map merge finds one for both)"
+            "different frames"
         )
     cells = (
         _cells(newer, "new", _strangers(here, there, near_m)),

@@ -36,6 +36,7 @@ MAX_CONTENT_BYTES: Final = 256 * 2**20
 _MAX_HEADER_BYTES: Final = 2**16
 _LENGTH: Final = struct.Struct("<I")
 _DIGEST_BYTES: Final = 32
+_FARTHEST_M: Final = 1e6
 
 # In the file's order: name -> (dtype, columns; 0 = one-dimensional).
 _ARRAYS: Final = {
@@ -143,10 +144,10 @@ def decode(data: bytes, known: PointMap, map_id: uuid.UUID, params: WatchParams)
         _check_header(header, known, map_id)
         arrays = _unpacked(header["rows"], body[start + length :])
         watcher = _watcher(arrays, known, params)
+        if header["map"] != str(map_id):
+            watcher.rebase(known)
     except (KeyError, TypeError, ValueError, RecursionError, zlib.error) as error:
         raise ChangesError(f"the file's content makes no sense: {error}") from error
-    if header["map"] != str(map_id):
-        watcher.rebase(known)
     return watcher
 
 
@@ -201,6 +202,8 @@ def _watcher(arrays: dict[str, NDArray[Any]], known: PointMap, params: WatchPara
         raise ValueError("the rays do not add up")
     if not np.all((arrays["scan_quanta_m"] > 0.0) & (arrays["scan_quanta_m"] < 1e3)):
         raise ValueError("rays are measured in parts of nothing")
+    if np.any(np.abs(arrays["scan_poses"]) > _FARTHEST_M):
+        raise ValueError("scans lie beyond all maps")
     ends = np.cumsum(counts)
     for row, (count, end) in enumerate(zip(counts, ends, strict=True)):
         part = slice(int(end - count), int(end))

@@ -60,12 +60,14 @@ def look(cloud: Cloud, target: Target, space: SparseGrid, pose: Pose2, range_m: 
         walls_passed=_walls_passed(target, space, places, along[ray]),
         walls_met=_cells_of(target, space, met),
         ends=np.unique(space.keys_of(ends[rows])),
-        passed=np.unique(space.keys_of(places)),
+        passed=np.unique(space.keys_of(places[::2])),
         rows=rows,
     )
 
 
 def _walls_passed(target: Target, space: SparseGrid, places: Array, along: Array) -> Keys:
+    near = fit.distances(target, places) <= _THROUGH_M
+    places, along = places[near], along[near]
     wall = target.lookup.rows(places, np.zeros_like(places))
     known = wall >= 0
     wall, places, along = wall[known], places[known], along[known]

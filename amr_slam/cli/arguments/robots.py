@@ -83,6 +83,11 @@ def add_replay(commands: Subparsers[Parser]) -> None:
         action=argparse.BooleanOptionalAction,
         help="let the map grow (default: only without --map; with it: go on with that map)",
     )
+    add(
+        "--hold",
+        action="store_true",
+        help="with --map and --mapping: what is in the map stays as it is, what is new joins it",
+    )
     add("--map-out", metavar="MAP", type=path_ending(".amrmap"), help="save the grown map")
     add("--no-loops", action="store_true", help="close no loops of a new map: to see what they do")
     add(
