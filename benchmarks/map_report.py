@@ -12,6 +12,7 @@ import argparse
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -21,7 +22,7 @@ from amr_slam.commissioning import Report, ReportParams, make_report, usual_eyes
 from amr_slam.commissioning.cold_starts import Outcome, Switchboard
 from amr_slam.engine import SlamEngine, SlamRequest
 from amr_slam.geometry import Pose2
-from amr_slam.map import PointMap
+from amr_slam.map import PointMap, save_map
 from amr_slam.params import SlamParams
 from amr_slam.simulation import World, mapping_poses, take_scan
 from amr_slam.simulation.shapes import edges
@@ -62,15 +63,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """One line a world."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kinds", nargs="*", default=list(_WORLDS), metavar="KIND")
+    parser.add_argument("--maps", type=Path, metavar="FOLDER", help="keep the maps there")
+    chosen = parser.parse_args(arguments)
     print(
         "| world | within 95 % radius | factor | expected median, mm | measured 95 %, mm "
         "| located: foretold / in the world | alike, so in the world | wrong | CPU s |"
     )
     print("|---|--:|--:|--:|--:|--:|--:|--:|--:|")
-    for kind in parser.parse_args(arguments).kinds:
+    for kind in chosen.kinds:
         seed, area_m2 = _WORLDS[kind]
         world = KINDS[kind](seed, area_m2)
         known = _mapped(world, f"{kind} {area_m2:g} m2")
+        if chosen.maps is not None:
+            save_map(known, chosen.maps / f"{kind}.amrmap")
         begun_s = time.process_time()
         params = ReportParams(cold_starts=_POSES, suspects=20, precision_places=400)
         report = make_report(known, usual_eyes(), _SLAM, params, lambda *_: None)

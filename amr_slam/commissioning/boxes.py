@@ -22,6 +22,10 @@ from amr_slam.simulation.shapes import box, edges
 
 # Between the wall and what stands at it.
 _GAP_M = 0.03
+# A wall farther behind it than this is not the one that it stands at.
+_BEHIND_M = 0.15
+# A wall inside of it is no farther than this from the points with which it is looked for.
+_INSIDE_M = 0.07
 # So far behind it, a wall is hidden.
 _HIDDEN_M = 0.3
 # The robot's middle passed no nearer to it than this.
@@ -112,9 +116,13 @@ def _at_wall(
     front = front + middle + 0.5 * shape.depth_m * normal
     if not np.all(target.lookup.seen_free(front + 0.1 * normal)):
         return None
+    # There is wall behind all of it: it closes no door.
+    backwards = np.broadcast_to(-normal, front.shape).copy()
+    back = front - (shape.depth_m - 0.1) * normal
+    if float(ranges(target, back, backwards, 1.0).max()) > 0.1 + _BEHIND_M:
+        return None
     # Nothing stands in it, and there is room to pass.
-    inner = pose @ _filled(shape, 0.1)
-    if np.any(target.tree.query(inner[:, :2])[0] < 0.05 * shape.depth_m):
+    if np.any(np.asarray(target.tree.query(pose @ _filled(shape, 0.1))[0]) < _INSIDE_M):
         return None
     ahead = ranges(target, front, np.broadcast_to(normal, front.shape).copy(), 30.0)
     if float(ahead.min()) < passage_m:

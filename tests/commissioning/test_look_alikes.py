@@ -10,8 +10,11 @@ from labs import cloud_at
 from locating import PARAMS, map_of, twin_rooms
 
 from amr_slam.commissioning import Report, ReportParams, make_report, usual_eyes
+from amr_slam.commissioning.about import About
 from amr_slam.commissioning.cold_starts import ColdStart, Outcome, Switchboard
 from amr_slam.commissioning.look_alikes import pairs
+from amr_slam.commissioning.machine import facts
+from amr_slam.commissioning.page import page
 from amr_slam.engine import SlamEngine, SlamRequest
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
@@ -81,6 +84,21 @@ def test_the_same_map_gives_the_same_report(report: Report) -> None:
     board = Switchboard(report.known, report.eyes, PARAMS, report.params)
     for one in report.starts.tried[:4]:
         assert board.start(one.truth, even=one.even) == one
+
+
+def test_page_and_json_tell_pairs_and_boxes(report: Report) -> None:
+    about = About(
+        map_id="1", file_name="twins.amrmap", file_sha256="2", map_format=2, software="0",
+        made_at="now", robot="two scanners",
+    )  # fmt: skip
+    told = facts(report, about)
+    assert told["overall"] == "act first"
+    assert told["look_alikes"][0]["poses"] == len(report.pairs[0].confused)
+    (found,) = report.resolutions
+    assert told["suggestions"][0]["resolved"] == found.resolved
+    text = page(report, about)
+    assert f"<b>{found.resolved} of {found.poses}</b> poses at which A was taken for A*" in text
+    assert text.count('<polygon class="box"') == 1
 
 
 def start_at(x: float, y: float, *rivals: tuple[float, float]) -> ColdStart:
