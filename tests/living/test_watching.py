@@ -88,7 +88,7 @@ def test_pass_to_the_contrary_ends_a_change() -> None:
 
 def test_scan_of_a_vague_pose_says_nothing() -> None:
     day = watching(mapped())
-    day.watcher.see = lambda cloud, pose, _, now: Watcher.see(  # type: ignore[method-assign]
+    day.watcher.see = lambda cloud, pose, _, now: Watcher.see(  # type: ignore[method-assign, assignment]
         day.watcher, cloud, pose, np.diag([0.1**2, 1e-4, 1e-5]), now
     )
     for _ in range(2):

@@ -24,7 +24,8 @@ _LONGEST_S: Final = 6.0
 
 
 def cut_power(image: Path, folder: Path, cuts: int, accelerator: str, seed: int = 0) -> str:
-    """What became of the maps: "20 of 20 whole, ..."."""
+    """What became of the maps: "20 of 20 whole, ...": those of the last save that was told to be
+    safe, or newer."""
     with Machine(image, folder, accelerator=accelerator) as machine:
         machine.run(
             f"systemd-run -q --unit=saver --setenv=AMR_SLAM_COMPILED=0 /opt/amr-slam/bin/python"
@@ -33,24 +34,27 @@ def cut_power(image: Path, folder: Path, cuts: int, accelerator: str, seed: int 
         machine.until(f"[ -e {_FOLDER}/cut/hall.amrmap.2 ]", limit_s=120.0)
         machine.keep("saving")
     dice = random.Random(seed)
-    whole, during, failures = 0, 0, []
+    whole, newer, unfinished, failures = 0, 0, 0, []
     for number in range(1, cuts + 1):
         with Machine(image, folder, accelerator=accelerator, fresh=False) as machine:
             machine.return_to("saving")
             time.sleep(dice.uniform(0.0, _LONGEST_S))
         told = re.findall(r"saved (\d+)", (folder / "console.log").read_text(errors="replace"))
         saved = max(map(int, told), default=0)
-        name, unfinished = _found(folder)
-        during += unfinished
+        name, left = _found(folder)
+        unfinished += left
         if name is not None and int(name) >= saved:
             whole += 1
+            newer += int(name) > saved
         else:
             failures.append(f"cut {number}: {name} on disk, {saved} told")
-    return "; ".join([f"{whole} of {cuts} whole, {during} of them cut inside a save", *failures])
+    told_of = f"{newer} newer than the last that was told, {unfinished} beside an unfinished file"
+    return "; ".join([f"{whole} of {cuts} whole, {told_of}", *failures])
 
 
 def _found(folder: Path) -> tuple[str | None, bool]:
-    """The number of the map on the disk, and whether a save was under way."""
+    """The number of the map on the disk, and whether an unfinished file lies there: the kernel
+    forgets one that it was not yet told to make safe."""
     disk, copy = folder / "state.raw", folder / "state"
     shutil.rmtree(copy, ignore_errors=True)
     copy.mkdir()
