@@ -175,6 +175,45 @@ def test_a_write_that_is_not_synced_would_be_noticed() -> None:
     assert {folder.get("x") for folder in model.after_a_cut()} == {b"", b"cont", b"content"}
 
 
+def test_new_folders_and_removals_are_on_the_disk_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(lambda *_: None)
+    monkeypatch.setattr(durable, "os", disk)
+    path = tmp_path / "a" / "b" / "x"
+    write_durably(path, b"content")
+    assert _synced(disk) >= {tmp_path, tmp_path / "a", tmp_path / "a" / "b"}
+    disk.done.clear()
+    remove_durably(path)
+    assert [name for name, *_ in disk.done] == ["unlink", "open", "fsync", "close"]
+    assert _synced(disk) == {path.parent}
+
+
+def _synced(disk: Disk) -> set[Path]:
+    """What was synced, and that nothing stays open."""
+    found: set[Path] = set()
+    opened: dict[int, Path] = {}
+    for name, arguments, result in disk.done:
+        if name == "open":
+            opened[result] = Path(arguments[0])
+        elif name == "fsync":
+            found.add(opened[arguments[0]])
+        elif name == "close":
+            del opened[arguments[0]]
+    assert not opened
+    return found
+
+
+def test_a_disk_that_takes_a_few_bytes_at_a_time_gets_all_of_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = os.write
+    monkeypatch.setattr(os, "write", lambda to, data: real(to, bytes(data[:3])))
+    write_durably(tmp_path / "x", b"0123456789")
+    monkeypatch.undo()
+    assert (tmp_path / "x").read_bytes() == b"0123456789"
+
+
 # -- a full disk -----------------------------------------------------------------------------
 
 
@@ -237,11 +276,15 @@ def test_what_a_killed_writer_left_behind_is_cleared_away(tmp_path: Path) -> Non
     dead = subprocess.Popen([sys.executable, "-c", ""])
     dead.wait()
     left, running = tmp_path / f".x.{dead.pid}.tmp", tmp_path / f".x.{os.getppid()}.tmp"
-    other = tmp_path / ".x.notes.tmp"
-    for file in (left, running, other):
+    others = [tmp_path / ".x.notes.tmp", tmp_path / f".x.{10**30}.tmp"]
+    for file in (left, running, *others):
         file.write_bytes(b"half")
-    write_durably(tmp_path / "x", b"whole")
-    assert {one.name for one in tmp_path.iterdir()} == {"x", running.name, other.name}
+    for content in (b"older", b"whole"):
+        write_durably(tmp_path / "x", content)
+    # Nobody asked for older versions.
+    names = {"x", running.name, *(one.name for one in others)}
+    assert {one.name for one in tmp_path.iterdir()} == names
+    assert (tmp_path / "x").read_bytes() == b"whole"
     remove_durably(tmp_path / "x")
     remove_durably(tmp_path / "x")
     assert not (tmp_path / "x").exists()

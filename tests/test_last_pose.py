@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import os
 from pathlib import Path
@@ -92,6 +94,44 @@ def test_nonsense_is_refused(data: bytes) -> None:
         decode(data)
 
 
+def forged(**changed: object) -> bytes:
+    """A file whose checksum is right and whose content was changed."""
+    fields = json.loads(encode(last_pose()).partition(b"\n")[0])
+    line = json.dumps(fields | changed).encode() + b"\n"
+    return line + hashlib.sha256(line).hexdigest().encode() + b"\n"
+
+
+@pytest.mark.parametrize(
+    ("changed", "reason"),
+    [
+        ({"v": 2}, "version 2 of the file is unknown"),
+        ({"x": math.nan}, "nan is no possible number"),
+        ({"y": -1.1e5}, "no possible number"),
+        ({"theta": True}, "True is no number"),
+        ({"theta": "0.5"}, "is no number"),
+        ({"map": 7}, "the map has no name"),
+        ({"name": None}, "the map has no name"),
+        ({"covariance": [1.0] * 8}, "makes no sense"),
+        ({"covariance": [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]}, "the covariance is none"),
+        ({"covariance": [1.0, 0.5, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]}, "the covariance is none"),
+        ({"name": "x" * 4000}, "damaged"),
+    ],
+)
+def test_a_whole_file_that_makes_no_sense_is_no_hint(
+    changed: dict[str, object], reason: str
+) -> None:
+    assert decode(forged(x=1e5)).map_from_base.x_m == 1e5
+    with pytest.raises(UnusableHint, match=reason):
+        decode(forged(**changed))
+
+
+def test_a_file_that_is_none_says_why(tmp_path: Path) -> None:
+    with pytest.raises(UnusableHint, match=r"^there is none$"):
+        read(tmp_path / "missing")
+    with pytest.raises(UnusableHint, match="cannot be read: Is a directory"):
+        read(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("uptime_s", "utc_s", "reason"),
     [
@@ -99,6 +139,8 @@ def test_nonsense_is_refused(data: bytes) -> None:
         (500.0 + MOST_AGE_S, 1000.0 + MOST_AGE_S, None),
         (501.0 + MOST_AGE_S, 1001.0 + MOST_AGE_S, "old"),
         (20.0, 1060.0, "started anew"),
+        (499.0, 999.0, "started anew"),
+        (520.0, 1025.0, None),
         (520.0, 1060.0, "its clock was set"),
         (520.0, 4620.0, "its clock was set"),
     ],

@@ -70,15 +70,61 @@ def test_what_was_missed_is_in_the_covariance_from_the_first_tenth_of_a_second_o
     assert all(one.delta == was.delta for one, was in zip(doubted, plain, strict=True))
 
 
+def doubt(doubted: list[Motion], plain: list[Motion]) -> float:
+    """m: root of what the doubt adds to the variance ahead, of all motions together."""
+    pairs = zip(doubted, plain, strict=True)
+    return float(np.sqrt(sum(one.covariance[0, 0] - was.covariance[0, 0] for one, was in pairs)))
+
+
+def test_the_first_doubt_contains_what_was_missed_until_then() -> None:
+    doubted, suspects, plain = heeded(driven(lambda at_s: (0.5 if at_s < 1.0 else 0.0, 0.5)))
+    first = next(k for k, one in enumerate(suspects) if one)
+    missed_m = 0.5 * (0.02 * (first + 1) - 1.0)
+    assert missed_m == pytest.approx(0.05, abs=0.011)
+    assert doubt(doubted[: first + 1], plain[: first + 1]) == pytest.approx(0.5 * missed_m, rel=0.1)
+
+
+def test_the_slower_wheel_would_have_gone_as_much_less_far() -> None:
+    doubted, _, plain = heeded(driven(lambda _: (0.5, 1.0)))
+    assert doubt(doubted, plain) == 0.0
+    doubted, _, plain = heeded(driven(lambda at_s: (0.0 if 1.0 <= at_s < 1.8 else 0.5, 1.0)))
+    assert doubt(doubted, plain) == pytest.approx(0.5 * 0.8 * 0.5, rel=0.1)
+
+
+def test_scans_put_right_what_was_missed_within_two_seconds() -> None:
+    """From then on the doubt grows with the way, not with its square."""
+    stuck = driven(lambda at_s: (0.5 if at_s < 1.0 else 0.0, 0.5), until_s=5.0)
+    doubted, _, plain = heeded(stuck)
+    expected_m2 = 0.25 * (1.0**2 + 2.0 * 1.0 * 1.0)
+    assert doubt(doubted, plain) == pytest.approx(np.sqrt(expected_m2), rel=0.05)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6])
+def test_the_other_wheel_goes_on_with_half_of_its_speed(share: float) -> None:
+    _, suspects, _ = heeded(driven(lambda at_s: (0.5, 0.5) if at_s < 1.0 else (0.0, share * 0.5)))
+    assert any(suspects) == (share > 0.5)
+
+
 @pytest.mark.parametrize(
     "speeds",
     [
         lambda _: (0.0, 0.4),
+        lambda at_s: (0.5 if at_s < 1.0 else 0.0, 0.0),
+        lambda at_s: (0.5 if at_s < 1.0 else 0.0, 0.03),
         lambda at_s: (max(0.0, 0.5 - 1.5 * max(0.0, at_s - 1.0)), 0.5),
         lambda at_s: (0.5, 0.5) if at_s < 1.0 else (0.0, 0.0),
         lambda at_s: (0.1, 0.3) if at_s < 1.0 else (0.0, 0.3),
+        lambda at_s: (0.22, 0.3) if at_s < 1.0 else (0.0, 0.3),
     ],
-    ids=["turns about a wheel", "brakes one wheel", "both stand", "stops from a crawl"],
+    ids=[
+        "turns about a wheel",
+        "stops turning about a wheel",
+        "the other one crawls",
+        "brakes one wheel",
+        "both stand",
+        "stops from a crawl",
+        "turns, which helps to stop",
+    ],
 )
 @pytest.mark.parametrize("late_s", [0.0, 0.01])
 def test_what_a_robot_can_do_is_not_doubted(speeds: Speeds, late_s: float) -> None:
@@ -108,6 +154,21 @@ def test_a_gap_or_a_new_segment_ends_the_suspicion() -> None:
     motion = DRIVE.motion(samples[99], other)
     assert motion.gap
     assert watch.heed(other, motion) is motion
+    assert not watch.suspects
+
+
+@pytest.mark.parametrize("is_gap", [False, True])
+def test_either_of_the_two_is_enough(is_gap: bool) -> None:
+    samples = driven(lambda at_s: (0.5 if at_s < 1.0 else 0.0, 0.5))
+    watch = StandingWheels(DRIVE, FilterParams())
+    for before, after in itertools.pairwise(samples[:100]):
+        watch.heed(after, DRIVE.motion(before, after))
+    newest, motion = samples[100], DRIVE.motion(samples[99], samples[100])
+    if is_gap:
+        motion = DRIVE.silence(samples[99].stamp_ns, newest.stamp_ns)
+    else:
+        newest = replace(newest, segment=1)
+    assert watch.heed(newest, motion) is motion
     assert not watch.suspects
 
 
