@@ -74,6 +74,7 @@ class ViewServer:
     async def _running(self, _app: web.Application) -> Any:
         task = asyncio.create_task(self._hub.run())
         task.add_done_callback(_end_with)
+        self._maps.start()
         yield
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)

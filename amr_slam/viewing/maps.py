@@ -35,6 +35,15 @@ class Maps:
         self._kept: OrderedDict[_Key, bytes] = OrderedDict()
         self._one_at_a_time = asyncio.Lock()
         self._pool: ProcessPoolExecutor | None = None
+        self._ready: asyncio.Future[None] | None = None
+
+    def start(self) -> None:
+        """Have the process ready before the first map; what it imports takes it seconds, or a
+        minute on a busy computer, which are not the map's."""
+        self._pool = ProcessPoolExecutor(
+            1, multiprocessing.get_context("spawn"), initializer=_limit
+        )
+        self._ready = asyncio.get_running_loop().run_in_executor(self._pool, _import)
 
     async def of(self, listener: FleetListener, robot: str) -> bytes:
         """The map that a robot has now. Raises MapsError."""
@@ -63,11 +72,11 @@ class Maps:
 
     async def _draw(self, robot: str, data: bytes) -> bytes:
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(
-                1, multiprocessing.get_context("spawn"), initializer=_limit
-            )
+            self.start()
+        assert self._ready is not None
         work = partial(_drawn, data)
         try:
+            await asyncio.shield(self._ready)
             running = asyncio.get_running_loop().run_in_executor(self._pool, work)
             return await asyncio.wait_for(running, _DRAW_S)
         except ValueError as error:
@@ -99,6 +108,10 @@ class Maps:
 
 def _limit() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, _MAX_MEMORY_BYTES))
+
+
+def _import() -> None:
+    importlib.import_module("amr_slam.viewing.drawing")
 
 
 def _drawn(data: bytes) -> bytes:
