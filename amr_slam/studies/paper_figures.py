@@ -33,7 +33,7 @@ class Midway:
 
     known: PointMap
     path_m: Array
-    """(n, 2) positions of the scans that are in the map, and last that of ``scan_m``."""
+    """(n, 2) positions of the scans in the map, last that of ``scan_m``."""
     scan_m: Array
     """(k, 2) points of the scan that was registered last, where it was registered."""
 
@@ -110,7 +110,7 @@ def midway(log: Path, scans: int) -> Midway:
         "mapping",
     )
     engine = SlamEngine(params, PointMap(params.map, log.name), "mapping")
-    registered: list[tuple[Pose2, Array]] = []
+    registered: list[tuple[Pose2, Array, bool]] = []
     for sample in thin_scans(recorded.samples, SCAN_PERIOD_S):
         localizer.handle(sample)
         request = localizer.take_request()
@@ -120,16 +120,16 @@ def midway(log: Path, scans: int) -> Midway:
         localizer.handle(result)
         if result.answer.best is not None:
             pose = result.answer.best.pose
-            registered.append((pose, pose @ request.cloud.points_m))
+            registered.append((pose, pose @ request.cloud.points_m, result.inserted))
         if len(registered) == scans:
             break
     if not registered:
         raise RecordingError(f"{log}: no scan could be registered")
-    before = [pose.as_array()[:2] for _, pose in engine.map.path]
-    pose, points_m = registered[-1]
+    pose, points_m, inserted = registered[-1]
+    path = [one for _, one in engine.map.path] + ([] if inserted else [pose])
     return Midway(
         known=engine.map,
-        path_m=np.array([*before, pose.as_array()[:2]]),
+        path_m=np.array([one.translation for one in path]),
         scan_m=points_m,
     )
 
