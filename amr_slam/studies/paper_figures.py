@@ -138,8 +138,8 @@ _SYNTHETIC: Final = """\
 One random laboratory of 200 m² (seed {seed}), driven once round its tour at 0.3 m/s with one scan
 of 541 beams in 2 s, and mapped from scratch: no map, no true pose, wheels that are off by half a
 percent. To every point of a scan comes Gaussian noise of sigma in x and in y, as in the paper. What
-to look for: where the paper's maps grow thick with the noise, these stay lines, because the map
-takes the noise out of its walls again ([why](adr/0008-walls-by-deconvolution.md)); where the
+to look for: where the paper finds its map ever less reliable, the walls here stay lines, because
+the map takes the noise out of them again ([why](adr/0008-walls-by-deconvolution.md)); where the
 paper's path staggers and has gaps at 0.3 m, this one stays smooth and whole, though a scan or two
 may stay out of the map, as the table says. What the noise does cost: small things go first (the
 legs of tables, the round posts), corners become round, walls have gaps where they were seen
