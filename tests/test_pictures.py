@@ -85,7 +85,7 @@ def test_other_endings_are_refused(tmp_path: Path) -> None:
 
 def test_maps_side_by_side_have_one_scale_and_say_what_is_what(tmp_path: Path) -> None:
     path = np.array([[-2.0, 1.0], [0.0, 1.5], [9.0, 1.5]])  # leaves the second map's walls
-    scan = np.array([[5.0, 0.0], [5.0, 0.5]])
+    scan = np.array([[5.0, 0.25]])
     figure = map_panels(
         [
             MapPanel(title="one", known=room(), path_m=path[:2]),

@@ -14,6 +14,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
 from amr_slam.geometry import Array
@@ -32,6 +34,7 @@ FLOOR: Final = "#E6EEF5"
 TITLE_PT: Final = 11
 LEGEND_PT: Final = 9
 _LABEL_PT, _TICK_PT = 10, 9
+_LEAST_MARK_PT: Final = 4.0
 _FINE, _COARSE = "#EEEEEE", "#CCCCCC"
 _DOTS_PER_INCH: Final = 110
 # Grid lines of maps by the long side: (up to m, faint lines every m, strong lines every m).
@@ -125,7 +128,7 @@ def scale_bar(axes: Axes, low: Array, high: Array) -> None:
 def legend_above(axes: Axes) -> None:
     """The legend in the title's line, where it hides nothing."""
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(
+    legend = axes.legend(
         handles,
         labels,
         loc="lower right",
@@ -134,15 +137,24 @@ def legend_above(axes: Axes) -> None:
         frameon=False,
         fontsize=LEGEND_PT,
     )
+    _show_small_marks(legend)
 
 
 def legend_below(figure: Figure) -> None:
     """One legend for all charts of a picture, of what the last of them shows, at its foot."""
     handles, labels = figure.axes[-1].get_legend_handles_labels()
-    figure.legend(
+    legend = figure.legend(
         handles, labels, loc="lower center", ncols=len(labels), frameon=False, fontsize=LEGEND_PT,
         markerscale=1.6,
     )  # fmt: skip
+    _show_small_marks(legend)
+
+
+def _show_small_marks(legend: Legend) -> None:
+    """Dots that only make a wall in their hundreds are too small to be seen alone."""
+    for handle in legend.legend_handles:
+        if isinstance(handle, Line2D) and handle.get_markersize() < _LEAST_MARK_PT:
+            handle.set_markersize(_LEAST_MARK_PT)
 
 
 def save(figure: Figure, out: Path) -> None:

@@ -33,7 +33,7 @@ class Midway:
 
     known: PointMap
     path_m: Array
-    """(n, 2) positions of the scans that are in the map, and last that of ``scan_m``."""
+    """(n, 2) positions of the scans in the map, last that of ``scan_m``."""
     scan_m: Array
     """(k, 2) points of the scan that was registered last, where it was registered."""
 
@@ -110,7 +110,7 @@ def midway(log: Path, scans: int) -> Midway:
         "mapping",
     )
     engine = SlamEngine(params, PointMap(params.map, log.name), "mapping")
-    registered: list[tuple[Pose2, Array]] = []
+    registered: list[tuple[Pose2, Array, bool]] = []
     for sample in thin_scans(recorded.samples, SCAN_PERIOD_S):
         localizer.handle(sample)
         request = localizer.take_request()
@@ -120,16 +120,16 @@ def midway(log: Path, scans: int) -> Midway:
         localizer.handle(result)
         if result.answer.best is not None:
             pose = result.answer.best.pose
-            registered.append((pose, pose @ request.cloud.points_m))
+            registered.append((pose, pose @ request.cloud.points_m, result.inserted))
         if len(registered) == scans:
             break
     if not registered:
         raise RecordingError(f"{log}: no scan could be registered")
-    before = [pose.as_array()[:2] for _, pose in engine.map.path]
-    pose, points_m = registered[-1]
+    pose, points_m, inserted = registered[-1]
+    path = [one for _, one in engine.map.path] + ([] if inserted else [pose])
     return Midway(
         known=engine.map,
-        path_m=np.array([*before, pose.as_array()[:2]]),
+        path_m=np.array([one.translation for one in path]),
         scan_m=points_m,
     )
 
@@ -138,8 +138,8 @@ _SYNTHETIC: Final = """\
 One random laboratory of 200 m² (seed {seed}), driven once round its tour at 0.3 m/s with one scan
 of 541 beams in 2 s, and mapped from scratch: no map, no true pose, wheels that are off by half a
 percent. To every point of a scan comes Gaussian noise of sigma in x and in y, as in the paper. What
-to look for: where the paper's maps grow thick with the noise, these stay lines, because the map
-takes the noise out of its walls again ([why](adr/0008-walls-by-deconvolution.md)); where the
+to look for: where the paper finds its map ever less reliable, the walls here stay lines, because
+the map takes the noise out of them again ([why](adr/0008-walls-by-deconvolution.md)); where the
 paper's path staggers and has gaps at 0.3 m, this one stays smooth and whole, though a scan or two
 may stay out of the map, as the table says. What the noise does cost: small things go first (the
 legs of tables, the round posts), corners become round, walls have gaps where they were seen
