@@ -94,7 +94,7 @@ def test_a_piece_of_the_way_is_recalled_and_the_chart_outlives_its_process() -> 
         engine.map.append(cloud, Pose2.from_array(pose))
     engine.settle()
     loaded, _ = decode(encode(engine.map)[0])
-    again = SlamEngine(RECALLING, loaded, "mapping").chart
+    again = SlamEngine(RECALLING, loaded, "mapping", resumed=True).chart
     assert again is not None
     np.testing.assert_allclose(again.poses, engine.chart.poses, atol=1e-12)
     assert [(e.start, e.end, e.loop) for e in again.edges] == [
