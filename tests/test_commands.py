@@ -171,7 +171,21 @@ def test_from_a_new_map_over_saving_and_loading_to_every_way_of_setting_the_pose
             pose = pose_when(daemon, lambda p: p.state is State.LOCALIZED, "found again")
             assert pose.epoch == here.epoch + 4
             assert np.hypot(pose.x - here.x, pose.y - here.y) < 0.2
-        assert daemon.log().count('command load_map {"name":"kept"}, asked by ') == 1
+
+            # A version of the map that is active, in the same frame: the pose is still true.
+            controller.done("load_map", name="kept")
+            again = pose_when(daemon, lambda p: p.epoch == here.epoch + 5, "the map, once more")
+            assert np.hypot(again.x - here.x, again.y - here.y) < 0.2
+            assert again.state is not State.LOST
+            assert again.error95_m < 1.0
+            refused = controller.refused("start_mapping", name="second", extend=True)
+            assert "load_map first" in refused
+            pose_when(daemon, lambda p: p.state is State.LOCALIZED, "a scan agrees")
+            controller.done("start_mapping", name="kept", extend=True)
+            pose = pose_when(daemon, lambda p: p.state is State.MAPPING, "the map grows on")
+            assert pose.epoch == again.epoch
+            assert np.hypot(pose.x - here.x, pose.y - here.y) < 0.2
+        assert daemon.log().count('command load_map {"name":"kept"}, asked by ') == 2
         assert "Traceback" not in daemon.log()
         assert daemon.stop() == 0
 
