@@ -20,7 +20,7 @@ from amr_slam.geometry import Pose2
 
 def test_in_a_long_corridor_the_weak_direction_is_along_it_and_a_post_helps() -> None:
     known = map_of(corridor(), [(x, 0.0) for x in range(-24, 25, 4)])
-    places = np.array([[x, 0.0] for x in range(-10, 11, 2)], dtype=float)
+    places = np.array([[0.5 * x, 0.0] for x in range(-12, 13)], dtype=float)
     params = ReportParams(poor_m=0.1)
     found = precision(known.target(), usual_eyes(), places, PARAMS, params)
     assert np.all(np.abs(np.sin(found.axes_rad)) < 0.05)
