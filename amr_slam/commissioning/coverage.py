@@ -13,6 +13,8 @@ from amr_slam.map import PointMap
 
 # A border this near to a wall is the wall's own: rays count as free up to a margin before it.
 _WALL_M = 0.4
+# Below a robot that stood and scanned, nothing is seen either.
+_STOOD_M = 0.5
 # Shorter ones are gaps between the beams.
 _LEAST_BORDER_M = 0.8
 # A border is worth a drive where the robot comes this near.
@@ -89,7 +91,9 @@ def _borders(known: PointMap, cells: Array, places: Array) -> tuple[Border, ...]
     steps = space.cell_m * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     beside = [space.find(space.keys_of(cells + step)) < 0 for step in steps]
     edge = cells[np.any(beside, axis=0)]
+    driven = np.array([pose.translation for _, pose in known.path]).reshape(-1, 2)
     for others, within_m, keep_near in (
+        (driven, _STOOD_M, False),
         (known.target().points_m, _WALL_M, False),
         (places, _NEAR_M, True),
     ):

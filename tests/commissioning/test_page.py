@@ -139,7 +139,7 @@ def test_what_cannot_be_reported_is_one_line(
 
 
 def test_borders_are_where_nobody_looked() -> None:
-    """A room 8 m wide of which a scan in one half of a U-shaped view saw a part only."""
+    """A room 8 m wide of which the map ends after 5 m."""
     known = map_of(room(), [(2.0, 2.0)])
     whole = coverage(known, reachable(known, SlamParams()), 0.5, 3)
     assert not whole.borders
