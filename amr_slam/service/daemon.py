@@ -60,9 +60,10 @@ _FITTING: Final = frozenset({Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET})
 def run(config_path: Path, record: Path | None = None, started: Started | None = None) -> int:
     """Localize until SIGTERM (0) or SIGINT (130); SIGUSR1 saves what was recorded last.
 
-    ``record``: a file for all that is recorded, from the start. ``started``: a SLAM process that was
-    started before this module was imported. Raises ConfigError, SessionError, OSError when ``record`` cannot be written, and RuntimeError where a driver
-    failed in a way that no driver may: systemd starts anew. A device that is missing is waited for.
+    ``record``: a file for all that is recorded, from the start. ``started``: a SLAM process from
+    before this module was imported. Raises ConfigError, SessionError, OSError when ``record``
+    cannot be written, and RuntimeError where a driver failed in a way that no driver may: systemd
+    starts anew. A device that is missing is waited for.
     """
     config = load(config_path)
     with ExitStack() as opened:  # whatever happens, what was opened is closed in reverse order
