@@ -18,14 +18,33 @@ from multiprocessing.context import SpawnProcess
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Started:
-    """A process that waits for its SlamJob at the other end of the pipe."""
+class SlamProcess:
+    """A process that waits for its SlamJob at the other end of the pipe, or has got it."""
 
     process: SpawnProcess
     pipe: Connection
 
+    def end(self) -> None:
+        """Whatever it does."""
+        self.process.kill()
+        self.process.join()
+        self.pipe.close()
 
-def start() -> Started:
+
+class Started:
+    """A process that was started for somebody who is to take it."""
+
+    def __init__(self, slam: SlamProcess) -> None:
+        self.slam: SlamProcess | None = slam
+
+    def take(self) -> SlamProcess:
+        """It is the taker's alone from now on, with its descriptors. Once."""
+        slam, self.slam = self.slam, None
+        assert slam is not None
+        return slam
+
+
+def start() -> SlamProcess:
     """A process whose pipe ends when it does."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
@@ -41,19 +60,18 @@ def start() -> Started:
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     theirs.close()  # with the last copy in the child, its end is the pipe's end
-    return Started(process=process, pipe=ours)
+    return SlamProcess(process=process, pipe=ours)
 
 
 @contextmanager
 def started() -> Iterator[Started]:
-    """One that is gone at the end, whether anybody gave it a job or not."""
-    slam = start()
+    """One that is gone at the end, if nobody has taken it."""
+    waiting = Started(start())
     try:
-        yield slam
+        yield waiting
     finally:
-        slam.process.kill()
-        slam.process.join()
-        slam.pipe.close()
+        if waiting.slam is not None:
+            waiting.slam.end()
 
 
 def _serve(pipe: Connection) -> None:

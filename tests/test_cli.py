@@ -463,8 +463,9 @@ def test_run_and_check_hand_over_to_the_service(
 ) -> None:
     seen: list[object] = []
 
-    def run(config_path: Path, record: Path | None, slam: Started) -> int:
-        assert slam.process.is_alive()  # began its imports before us
+    def run(config_path: Path, record: Path | None, started: Started) -> int:
+        assert started.slam is not None
+        assert started.slam.process.is_alive()  # began its imports before us
         seen.extend((config_path, record))
         return 130
 

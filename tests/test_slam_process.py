@@ -278,16 +278,18 @@ def test_poses_are_sought_in_the_map_that_is_active(tmp_path: Path) -> None:
         assert result.fix.map_from_base.distance_to(truth) < 0.1
 
 
-def test_a_process_that_gets_no_job_ends_with_its_starter() -> None:
-    with started() as slam:
-        assert slam.process.is_alive()
-    assert slam.process.exitcode == -signal.SIGKILL
-    with pytest.raises(OSError, match="closed"):
-        slam.pipe.poll()
+def test_a_process_that_nobody_takes_ends_with_its_starter() -> None:
+    with started() as waiting:
+        assert waiting.slam is not None
+        process, pipe = waiting.slam.process, waiting.slam.pipe
+        assert process.is_alive()
+    assert process.exitcode == -signal.SIGKILL
+    assert pipe.closed
 
 
 def test_a_process_whose_starter_is_gone_ends_by_itself() -> None:
-    with started() as slam:
-        slam.pipe.close()
-        slam.process.join(60.0)
-        assert slam.process.exitcode == 0
+    with started() as waiting:
+        slam = waiting.take()
+    slam.pipe.close()
+    slam.process.join(60.0)
+    assert slam.process.exitcode == 0

@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         if arguments.command == "run":
             # The two processes import side by side.
-            with started() as arguments.slam:
+            with started() as arguments.started:
                 return _run(arguments)
         return _run(arguments)
     except KeyboardInterrupt:

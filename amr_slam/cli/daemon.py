@@ -22,4 +22,4 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.command == "check":
         return service.check(arguments.config, probe=arguments.probe)
     check_outputs(arguments.record, source=arguments.config)
-    return service.run(arguments.config, arguments.record, arguments.slam)
+    return service.run(arguments.config, arguments.record, arguments.started)

@@ -58,17 +58,17 @@ _Item = Scan | DriveSample | DeviceEnded | FromWorker | Asked
 _FITTING: Final = frozenset({Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET})
 
 
-def run(config_path: Path, record: Path | None = None, slam: Started | None = None) -> int:
+def run(config_path: Path, record: Path | None = None, started: Started | None = None) -> int:
     """Localize until SIGTERM (0) or SIGINT (130); SIGUSR1 saves what was recorded last.
 
-    ``record``: a file for all that is recorded, from the start. ``slam``: the SLAM process, where
-    it was started before this module was imported. Raises ConfigError,
-    SessionError, OSError when ``record`` cannot be written, and RuntimeError where a driver
-    failed in a way that no driver may: systemd starts anew. A device that is missing is waited for.
+    ``record``: a file for all that is recorded, from the start. ``started``: a SLAM process from
+    before this module was imported. Raises ConfigError, SessionError, OSError when ``record``
+    cannot be written, and RuntimeError where a driver failed in a way that no driver may: systemd
+    starts anew. A device that is missing is waited for.
     """
     config = load(config_path)
     with ExitStack() as opened:  # whatever happens, what was opened is closed in reverse order
-        daemon = startup(config, config_path, opened, record, slam)
+        daemon = startup(config, config_path, opened, record, started)
         exit_status = main_loop(daemon)
         shutdown(daemon, opened)
     return exit_status
@@ -79,7 +79,7 @@ def startup(
     config_path: Path,
     opened: ExitStack,
     record: Path | None = None,
-    slam: Started | None = None,
+    started: Started | None = None,
 ) -> Daemon:
     """Everything is running, nothing is waited for: the first turns do that."""
     signals = _Signals()
@@ -93,7 +93,7 @@ def startup(
     if job.target is not None and (cut_off or config.map.extend) and job.target.exists():
         job, wanted = localizing_first(job), replace(job, source=job.target, saved_before=cut_off)
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
-    worker = SlamWorker(job, inbox.put, config.service.answer_limit_s, slam)
+    worker = SlamWorker(job, inbox.put, config.service.answer_limit_s, started)
     opened.callback(_stop_worker, worker, inbox)
     publisher = opened.enter_context(
         RobotPublisher(config.zenoh, config.robot.name, encoders(config))

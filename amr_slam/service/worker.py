@@ -82,9 +82,9 @@ class SlamWorker:
         job: SlamJob,
         sink: Callable[[FromWorker], object],
         answer_limit_s: float,
-        slam: Started | None = None,
+        started: Started | None = None,
     ) -> None:
-        """``slam``: the first process, where it was started already."""
+        """``started``: the first process, where it was started already."""
         self._job = job
         self._sink = sink
         self._answer_limit_ns = round(1e9 * answer_limit_s)
@@ -114,7 +114,7 @@ class SlamWorker:
         self._asked: SlamRequest | None = None
         # What a new process needs beside the file on disk to go on as if nothing had happened.
         self._unsaved: deque[Joined] = deque(maxlen=_MOST_UNSAVED)
-        self._spawn(slam)
+        self._spawn(started)
 
     # -- for the loop ----------------------------------------------------------------------
 
@@ -236,8 +236,8 @@ class SlamWorker:
 
     # -- what happened to it ---------------------------------------------------------------
 
-    def _spawn(self, slam: Started | None = None) -> None:
-        slam = starting.start() if slam is None else slam
+    def _spawn(self, started: Started | None = None) -> None:
+        slam = starting.start() if started is None else started.take()
         self._process, pipe = slam.process, slam.pipe
         self._generation = next(self._generations)
         self._ready = False
