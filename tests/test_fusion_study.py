@@ -9,9 +9,11 @@ import pytest
 
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
+from amr_slam.recording import Trajectory
 from amr_slam.studies.fusion.between import errors_m
 from amr_slam.studies.fusion.methods import HELD, PRODUCT, UNDELAYED, WHEELS
 from amr_slam.studies.fusion.product import estimates, localizer, twist_off
+from amr_slam.studies.fusion.recordings import steady
 from amr_slam.studies.fusion.simulated import (
     DRIVE,
     Scenario,
@@ -140,3 +142,15 @@ def test_wheels_are_drawn_within_what_can_be_learned() -> None:
     rows = np.array([(one.travel, one.yaw, one.bend_radpm, one.lag_s) for one in drawn])
     assert (np.abs(rows).max(axis=0) <= params.calibration.limits).all()
     np.testing.assert_allclose(rows.std(axis=0), params.calibration.sigmas, rtol=0.05)
+
+
+def test_references_at_which_no_robot_can_have_been_are_left_out() -> None:
+    """Scans that were stamped late come in bursts: a way of 0.2 m within 4 ms."""
+    stamps_s = np.array([0.0, 1.0, 2.2, 2.204, 3.0])
+    ways_m = np.array([0.0, 2.9, 4.0, 4.2, 6.5])
+    reference = Trajectory(
+        stamps_ns=(1e9 * stamps_s).astype(np.int64),
+        poses=np.column_stack([ways_m, np.zeros(5), np.zeros(5)]),
+    )
+    np.testing.assert_array_equal(steady(reference).poses[:, 0], [0.0, 2.9, 6.5])
+    np.testing.assert_array_equal(steady(reference).stamps_ns, reference.stamps_ns[[0, 1, 4]])
