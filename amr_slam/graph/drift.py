@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from amr_slam.geometry import Array
 from amr_slam.graph.posegraph import Edge
@@ -55,8 +54,10 @@ class Ties:
     def drift(self, poses: Array, params: DriftParams) -> Drift:
         """Of the newest of all nodes' poses (n, 3). Takes about a microsecond a node."""
         count = len(poses)
-        graph = csr_array((self._ways_m, (self._starts, self._ends)), shape=(count, count))
-        everywhere, before = dijkstra(
+        graph = scipy.sparse.csr_array(
+            (self._ways_m, (self._starts, self._ends)), shape=(count, count)
+        )
+        everywhere, before = scipy.sparse.csgraph.dijkstra(
             graph, directed=False, indices=[count - 1], return_predecessors=True
         )
         ways_m, parents = everywhere[0], before[0]

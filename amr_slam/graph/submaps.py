@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
@@ -50,7 +50,7 @@ class Growing:
 
     def finished(self, params: SlamParams) -> Submap:
         """It joins no scan any more."""
-        near = cKDTree(np.array([pose.translation for pose in self.poses]))
+        near = scipy.spatial.cKDTree(np.array([pose.translation for pose in self.poses]))
         places = self.map.places(params.grid_m, params.robot_radius_m)
         away_m = np.asarray(near.query(places)[0]) if len(places) else np.empty(0)
         target = self.map.target()

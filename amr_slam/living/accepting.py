@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from amr_slam.geometry import Array, Pose2
 from amr_slam.living.change import MapChange, MapDiff
@@ -120,11 +118,11 @@ def _with_crumbs(space: SparseGrid, wall_cells: Keys, core: Keys) -> Keys:
         return core
     centres = space.centres(rest)
     near = 1.6 * space.cell_m
-    pairs = cKDTree(centres).query_pairs(near, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(rest), len(rest)))
-    groups = connected_components(links, directed=False)[1]
+    pairs = scipy.spatial.cKDTree(centres).query_pairs(near, output_type="ndarray")
+    links = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(rest), len(rest)))
+    groups = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
     touching = np.isfinite(
-        cKDTree(space.centres(core)).query(centres, distance_upper_bound=near)[0]
+        scipy.spatial.cKDTree(space.centres(core)).query(centres, distance_upper_bound=near)[0]
     )
     small = np.bincount(groups)[groups] <= _CRUMB_CELLS
     crumbs = np.isin(groups, groups[touching & small])
@@ -134,8 +132,8 @@ def _with_crumbs(space: SparseGrid, wall_cells: Keys, core: Keys) -> Keys:
 def _inside(space: SparseGrid, centres: Array) -> Keys:
     """Cells within the hull of these."""
     try:
-        hull = ConvexHull(centres)
-    except (QhullError, ValueError):  # a line has no inside
+        hull = scipy.spatial.ConvexHull(centres)
+    except (scipy.spatial.QhullError, ValueError):  # a line has no inside
         return np.empty(0, dtype=np.int64)
     low, high = centres.min(axis=0), centres.max(axis=0)
     steps = np.round((high - low) / space.cell_m).astype(np.int64) + 1

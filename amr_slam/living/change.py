@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from amr_slam.geometry import Array, readonly
 
@@ -114,9 +112,11 @@ def _grouped(cells: ChangedCells, cell_m: float) -> list[MapChange]:
     count = len(cells.centres_m)
     if count < _LEAST_CELLS:
         return []
-    pairs = cKDTree(cells.centres_m).query_pairs(_GAP_CELLS * cell_m, output_type="ndarray")
-    links = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
-    groups = connected_components(links, directed=False)[1]
+    pairs = scipy.spatial.cKDTree(cells.centres_m).query_pairs(
+        _GAP_CELLS * cell_m, output_type="ndarray"
+    )
+    links = scipy.sparse.coo_matrix((np.ones(len(pairs)), pairs.T), shape=(count, count))
+    groups = scipy.sparse.csgraph.connected_components(links, directed=False)[1]
     things: list[MapChange] = []
     for group in range(int(groups.max()) + 1):
         rows = np.flatnonzero(groups == group)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2
@@ -24,7 +24,7 @@ class Held:
         self._walls = (grown.walls.keys.copy(), grown.walls.sums.copy())
         self._space = (grown.space.keys.copy(), grown.space.sums.copy())
         sums = self._walls[1].astype(np.float64)
-        self._tree = cKDTree(sums[:, 1:3] / sums[:, :1])
+        self._tree = scipy.spatial.cKDTree(sums[:, 1:3] / sums[:, :1])
         self._cell_m = grown.walls.cell_m
 
     def insert(self, cloud: Cloud, map_from_base: Pose2) -> None:
