@@ -84,7 +84,6 @@ class SlamResult:
     inserted: bool
     """The scan became part of the map."""
     map_scans: int
-    map_points: int
     """Of what scans are registered in."""
     change: Change | None = None
     """Localization: the scan against the map at the answer's pose, or where nothing was accepted
@@ -407,7 +406,6 @@ class SlamEngine:
             joined_at=self._joined if inserted else None,
             map_error_m=self.map.error_m,
             map_scans=len(self.map.path),
-            map_points=len(self.local),
         )
 
 

@@ -172,7 +172,6 @@ class Rig:
             fix=fix,
             inserted=inserted,
             map_scans=1,
-            map_points=1,
             change=change,
             sought=sought,
             moved=moved,

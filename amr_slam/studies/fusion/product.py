@@ -34,7 +34,6 @@ def result_of(fix: SlamPose) -> SlamResult:
         fix=fix,
         inserted=False,
         map_scans=1,
-        map_points=1,
     )
 
 
