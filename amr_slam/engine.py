@@ -84,7 +84,6 @@ class SlamResult:
     inserted: bool
     """The scan became part of the map."""
     map_scans: int
-    """Of what scans are registered in."""
     change: Change | None = None
     """Localization: the scan against the map at the answer's pose, or where nothing was accepted
     at the best one near the expected pose."""
