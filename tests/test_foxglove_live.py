@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
+import queue
 import socket
 import struct
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import pytest
@@ -25,8 +26,11 @@ from amr_slam.map.export import FREE, OCCUPIED, UNKNOWN, OccupancyImage, png_byt
 from amr_slam.publishing import RobotPublisher
 from amr_slam.serving import Asked, ImageWanted, Picture
 from amr_slam.watching.foxglove_live import serve
-from amr_slam.watching.maps import pictured
+from amr_slam.watching.maps import MapPictures, pictured
 from amr_slam.wire import MapImage, ScanMessage, ZenohSettings
+
+if TYPE_CHECKING:
+    import zenoh
 
 DEADLINE_S = 60.0
 PIXELS = np.full((3, 4), UNKNOWN, dtype=np.uint8)
@@ -217,6 +221,29 @@ def test_large_pictures_become_coarser_and_keep_their_walls() -> None:
     assert y_m == pytest.approx((2001 - 1000.5) * 0.05, abs=cell_m)
     with pytest.raises(ValueError, match="not as it says"):
         pictured("hall", PNG, where)
+
+
+def test_a_map_is_fetched_once_and_one_that_grows_now_and_then(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def answer(_session: object, _prefix: str, name: str, _timeout_s: float) -> Any:
+        asked.put(name)
+        return PNG, WHERE
+
+    monkeypatch.setattr("amr_slam.watching.maps.ask_map_image", answer)
+    pictures = MapPictures(cast("zenoh.Session", None), "amr")
+    for name, frame, now_s, grows in (
+        ("a1", "hall", 0.0, False),
+        ("a2", "hall", 100.0, False),  # the same map, on another robot
+        ("b1", "depot", 100.0, True),
+        ("b2", "depot", 129.0, True),
+        ("b3", "depot", 131.0, True),
+    ):
+        pictures.want(name, frame, MAP_ID, now_s, grows=grows)
+    assert [asked.get(timeout=DEADLINE_S) for _ in range(3)] == ["a1", "b1", "b3"]
+    assert asked.empty()
 
 
 def test_nobody_at_the_endpoint_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

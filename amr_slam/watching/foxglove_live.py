@@ -128,7 +128,9 @@ class _Shown(ServerListener):
         # Robots in one map share its frame; one that has none has a frame of its own.
         follower.map_frame = f"{name}/no map" if status.map is None else status.map.name
         if status.map is not None:
-            self._maps.want(name, follower.map_frame, status.map.id)
+            grows = status.mode == "mapping"
+            now_s = time.monotonic()
+            self._maps.want(name, follower.map_frame, status.map.id, now_s, grows=grows)
         robot = foxglove.Robot(name=name, base_frame=f"{name}/base", map_frame=follower.map_frame)
         if f"/{name}/health" in fresh:
             follower.health = foxglove.Health(name)

@@ -1,4 +1,4 @@
-"""Maps that robots have, fetched from them one after another, each once."""
+"""Maps that robots have, fetched from them one after another: each once, unless it grows."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ _log = logging.getLogger(__name__)
 _ANSWER_S: Final = 10.0
 _MOST_READ: Final = 100_000_000
 _TRIES: Final = 3
+_GROWS_S: Final = 30.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,14 +44,16 @@ class MapPictures:
         self._session, self._prefix = session, prefix
         self._wanted: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
         self._got: queue.SimpleQueue[Pictured] = queue.SimpleQueue()
-        self._asked: dict[str, str] = {}
+        self._asked: dict[str, tuple[str, float]] = {}
         self._known: dict[str, Pictured] = {}
         threading.Thread(target=self._run, name="map-pictures", daemon=True).start()
 
-    def want(self, robot: str, frame: str, map_id: str) -> None:
-        """``robot`` has the map ``map_id``: to be fetched unless that was done before."""
-        if self._asked.get(frame) != map_id:
-            self._asked[frame] = map_id
+    def want(self, robot: str, frame: str, map_id: str, now_s: float, *, grows: bool) -> None:
+        """``robot`` has the map ``map_id``: to be fetched unless that was done before; of one that
+        ``grows``, within half a minute. ``now_s``: of a monotonic clock."""
+        asked_id, asked_s = self._asked.get(frame, (None, 0.0))
+        if asked_id != map_id or (grows and now_s >= asked_s + _GROWS_S):
+            self._asked[frame] = map_id, now_s
             self._wanted.put((robot, frame))
 
     def take(self, frames: Iterable[str]) -> list[Pictured]:
