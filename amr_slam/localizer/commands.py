@@ -60,12 +60,12 @@ class Commands:
         """See :meth:`Localizer.restart`."""
         self._end_seek("the map has been changed")
         self._placing.mode = mode
-        self._placing.last_result = None
         fusion = self._fused.filter
         if keeps_pose and self._placing.located and fusion is not None:
             self._placing.begin(None, fusion.map_from_base, fusion.covariance, located=True)
             self._placing.unconfirmed = True
             return
+        self._placing.last_result = None
         start = NEW_MAP if mode == "mapping" else (Pose2.identity(), ANYWHERE)
         self._fused.start = start
         self._placing.begin(None, *start, located=mode == "mapping")
