@@ -142,6 +142,9 @@ def tell(poses: Poses, looks: Looks, warm_up_min: float) -> None:
         share = (used[-1] - used[0]) / (60.0 * np.ptp(minutes[warm]))
         print(f"| {name} | {memory[-1]:.1f} | {slope:+.2f} | {descriptors.min():.0f}, "
               f"{descriptors.max():.0f} | {100 * share:.1f} % |")  # fmt: skip
+    at = [int(np.searchsorted(minutes, minute)) for minute in range(0, int(minutes[-1]) + 1, 5)]
+    steps = (f"{minutes[k]:.0f} min {rows[k, 1]:.1f} and {rows[k, 4]:.1f}" for k in at)
+    print(f"\nMemory MB of daemon and SLAM process: {'; '.join(steps)}")
     print("\n| poses' period ms | median | p99 | max |\n|---|--:|--:|--:|")
     for name, times in (("when they came", poses.arrived_s), ("when they were made", poses.true_s)):
         gaps = 1e3 * np.diff(times)
