@@ -132,8 +132,8 @@ class SlamEngine:
         self._held: Held | None = None
 
     def hold(self) -> None:
-        """From now on what is in the map stays as it is; what is new joins it."""
-        self._held = Held(self.map)
+        """From now on what is in the map stays as it is, loops too; what is new joins it."""
+        self._held, self.chart = Held(self.map), None
 
     def update(self, request: SlamRequest) -> SlamResult:
         """Register one cloud. Never raises for what a scan contains."""

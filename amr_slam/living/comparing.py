@@ -27,7 +27,7 @@ def compare_maps(newer: PointMap, older: PointMap, against: str) -> MapDiff:
 
     Raises OtherFrameError for maps that have neither frame nor walls in common.
     """
-    here, there = newer.target(), older.target()
+    here, there = newer.surfaces(), older.target()
     if not len(here) or not len(there):
         raise OtherFrameError("one of the maps is empty")
     near_m = _NEAR_M + 3.0 * max(newer.across_m, older.across_m)

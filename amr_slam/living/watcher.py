@@ -65,7 +65,7 @@ class Watcher:
 
     def see(self, cloud: Cloud, pose: Pose2, covariance: Array, utc_ns: int) -> None:
         """A scan that was accepted at ``pose`` (map_from_base, ``covariance`` (3, 3))."""
-        target = self._known.target()
+        target = self._known.surfaces()
         if not len(cloud) or not len(target) or _vague(covariance):
             return
         space = self._known.space
@@ -110,7 +110,7 @@ class Watcher:
     def rebase(self, known: PointMap) -> None:
         """The same evidence against another version of the map, in the same frame and with the same
         cells: what that version shows itself is no change any more."""
-        target, space = known.target(), known.space
+        target, space = known.surfaces(), known.space
         self._known, self._counted = known, None
         centres = space.centres(self.new.rows["key"])
         far = fit.distances(target, centres) > 0.25 + 3.0 * known.across_m

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan
 from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
@@ -17,6 +16,7 @@ from amr_slam.evaluation import align_se2
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
+from amr_slam.pictures import style
 from amr_slam.simulation import ScannerModel, World, take_scan
 from amr_slam.simulation.aisles import Warehouse, warehouse
 from amr_slam.studies.report import Effort, Picture, Section, Table
@@ -225,25 +225,24 @@ def _size_mb() -> float:
 
 
 def _figure(mapped: Mapped, world: World) -> Picture:
-    figure = Figure(figsize=(11.0, 5.0), layout="constrained")
+    figure = style.sheet(11.0, 5.0)
     left, right = figure.subplots(1, 2)
+    corners = world.segments_m.reshape(-1, 2)
+    style.ground(left, corners.min(axis=0) - 1.0, corners.max(axis=0) + 1.0)
     for x1, y1, x2, y2 in world.segments_m:
-        left.plot([x1, x2], [y1, y2], color="0.6", linewidth=0.4)
+        left.plot([x1, x2], [y1, y2], color=style.GREY, linewidth=0.4)
     aligned = align_se2(mapped.poses, mapped.truth) @ mapped.poses[:, :2]
     wheels = align_se2(mapped.wheels, mapped.truth) @ mapped.wheels[:, :2]
-    left.plot(*wheels.T, color="tab:orange", linewidth=0.5, label="wheels alone")
-    left.plot(*mapped.truth[:, :2].T, color="tab:green", linewidth=1.6, label="truth")
-    left.plot(*aligned.T, color="tab:blue", linewidth=0.7, label="map")
+    left.plot(*wheels.T, color=style.VERMILION, linewidth=0.5, label="wheels alone")
+    left.plot(*mapped.truth[:, :2].T, color=style.GREEN, linewidth=1.6, label="truth")
+    left.plot(*aligned.T, color=style.BLUE, linewidth=0.7, label=f"map, seed {mapped.seed}")
     left.set_aspect("equal")
-    left.legend(loc="upper right", fontsize=7)
-    left.set_title(f"seed {mapped.seed}: the way driven", fontsize=9)
+    style.legend_above(left)
     smooth = np.convolve(1e3 * mapped.times_s, np.full(50, 0.02), mode="valid")
-    right.plot(1e3 * mapped.times_s, ".", markersize=1.5, color="0.7", label="each scan")
-    right.plot(np.arange(len(smooth)) + 25, smooth, color="tab:blue", label="mean of 50")
+    right.plot(1e3 * mapped.times_s, ".", markersize=1.5, color=style.GREY, label="each scan")
+    right.plot(np.arange(len(smooth)) + 25, smooth, color=style.BLUE, label="mean of 50")
     right.set_yscale("log")
-    right.set_xlabel("scan")
-    right.set_ylabel("processor time, ms")
-    right.legend(fontsize=7)
+    style.chart(right, x="scan", y="processor time, ms", legend="best")
     return Picture(
         name="large-warehouse",
         caption="The first seed: the way by the map over the truth, and the time of each scan.",
