@@ -190,7 +190,7 @@ def told_status(status: StatusMessage) -> dict[str, Any]:
         mode="json",
         include={
             "robot", "mode", "map", "scanners", "wheels", "slam", "fault", "candidates",
-            "explained", "advice", "version", "uptime_s", "cpu_percent", "memory_mb",
+            "explained", "changes", "advice", "version", "uptime_s", "cpu_percent", "memory_mb",
         },
     )  # fmt: skip
 

@@ -92,7 +92,8 @@ export class Details {
     ];
     if (live) values.push(["Pose age", seconds(this.store.age(robot))]);
     if (!fresh) return values;
-    const explained = robot.status?.explained;
+    const { explained, changes } = robot.status ?? {};
+    const seen = changes ? [["Changes seen", `${changes.new} new, ${changes.gone} gone`]] : [];
     return [
       ...values,
       ["Since a fix", seconds(pose.since_fix_s ?? Infinity)],
@@ -100,6 +101,7 @@ export class Details {
       ["Scan on walls", explained == null ? "–" : `${Math.round(100 * explained)} %`],
       ["Map", robot.status?.map ? `${robot.status.map.name}, version ${robot.status.map.version}` : "–"],
       ["Mode", robot.status?.mode ?? "–"],
+      ...seen,
     ];
   }
 
