@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import socket
 import sys
 import tempfile
@@ -83,6 +84,8 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--warm-up", type=float, default=12.0, metavar="MIN", help="of these")
     arguments = parser.parse_args()
+    unit = (REPO / "systemd/amr-slam@.service").read_text("utf-8")
+    os.environ.update(re.findall(r"(MALLOC_\w+)=(\S+)", unit))  # as the service runs
     with tempfile.TemporaryDirectory() as scratch:
         out, endpoint = Path(scratch), free_endpoint()
         own = {"tcp/127.0.0.1:7447": endpoint, "out/demo": str(out), "config": str(REPO / "config")}
