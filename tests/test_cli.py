@@ -385,7 +385,7 @@ def test_map_info(hall: Hall) -> None:
     assert facts == {
         "uuid": str(map_id),
         "name": "run",
-        "format": 2,
+        "format": 3,
         "bytes": hall.map.stat().st_size,
         "scans": len(known.path),
         "points": len(known),

@@ -27,9 +27,9 @@ def test_in_a_long_corridor_the_weak_direction_is_along_it() -> None:
     assert np.median(found.error95_m) > params.poor_m
     # Across the corridor, all is well.
     assert (found.error95_m / found.ratios).max() < 0.05
-    weak = found.weak[0]
-    assert len(weak.rows) >= 0.5 * len(places)
-    assert abs(math.sin(weak.axis_rad)) < 0.05
+    assert sum(len(weak.rows) for weak in found.weak) >= 0.5 * len(places)
+    for weak in found.weak:
+        assert abs(math.sin(weak.axis_rad)) < 0.05
 
 
 @pytest.mark.parametrize("seed", [3, 11])
