@@ -52,7 +52,7 @@ def test_each_command_of_the_contract_takes_its_arguments(
 
 
 def test_these_are_all_commands() -> None:
-    assert list(COMMANDS) == [name for name, _, _ in GOOD]
+    assert list(COMMANDS) == list(dict.fromkeys(name for name, _, _ in GOOD))
     assert command_key("amr", "amr7", "set_pose") == "amr/amr7/cmd/set_pose"
 
 
