@@ -111,7 +111,7 @@ export class History {
     };
   }
 
-  /** The way up to an instant, as pieces [[x, y], ...] that no jump breaks, oldest first. */
+  /** The way up to an instant, as pieces [[x, y], ...] without a jump or gap, oldest first. */
   trail(name, map, until, span) {
     const ring = this.rings.get(name);
     const end = ring ? ring.find(until) : -1;
@@ -119,7 +119,8 @@ export class History {
     let epoch = NaN;
     for (let i = end < 0 ? 1 : Math.max(ring.first, ring.find(until - span)); i <= end; i += 1) {
       const here = this.maps[ring.get(i, MAP)] === map;
-      if (here && ring.get(i, EPOCH) !== epoch) pieces.push([]);
+      const gap = !pieces.length || ring.time(i) - ring.time(i - 1) > FRESH_S; // nobody knows the way
+      if (here && (gap || ring.get(i, EPOCH) !== epoch)) pieces.push([]);
       epoch = here ? ring.get(i, EPOCH) : NaN;
       if (here) pieces.at(-1).push([ring.get(i, X), ring.get(i, Y)]);
     }

@@ -165,6 +165,7 @@ $("right").onclick = () => askToken($("dialog"), link, store.allowCommands
   : "This view was started without --allow-commands: a token changes nothing but who may look.");
 
 function panels() {
+  dirty = true; // what has grown stale, or blind, is drawn so without a tick
   const up = store.link.up && !store.blind;
   const text = store.blind ? "no word from the view's server" : store.link.text;
   if ($("link").textContent !== text) $("link").textContent = text;
