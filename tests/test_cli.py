@@ -366,7 +366,7 @@ def test_progress_is_shown_on_a_terminal_only(
         def isatty(self) -> bool:
             return True
 
-    monkeypatch.setattr(progress, "_PERIOD_S", 0.0)
+    monkeypatch.setattr(progress, "PERIOD_S", 0.0)
     terminal = Terminal()
     with contextlib.redirect_stderr(terminal), contextlib.redirect_stdout(io.StringIO()):
         assert main(["replay", str(hall.carmen), "--lidar", "0,0,0"]) == 0

@@ -7,35 +7,20 @@ import time
 from types import TracebackType
 from typing import Self
 
-_PERIOD_S = 0.2
+PERIOD_S = 0.2
 
 
-class Progress:
-    """One line on standard error that is written over; nothing where that is no terminal."""
+class OneLine:
+    """A line on standard error that is written over, and gone at the end."""
 
-    def __init__(self, what: str, start_ns: int, end_ns: int, *, quiet: bool = False) -> None:
-        """``start_ns`` and ``end_ns``: first and last stamp of the log."""
-        self._what = what
-        self._start_ns = start_ns
-        self._total_s = max(1e-9 * (end_ns - start_ns), 1e-9)
-        self._shown = sys.stderr.isatty() and not quiet
-        self._begun_s = self._written_s = time.perf_counter()
+    def __init__(self, *, shown: bool) -> None:
+        self._shown = shown
 
     def __enter__(self) -> Self:
         return self
 
-    def at(self, stamp_ns: int) -> None:
-        """The log has been worked through up to ``stamp_ns``."""
-        now_s = time.perf_counter()
-        if not self._shown or now_s - self._written_s < _PERIOD_S:
-            return
-        self._written_s = now_s
-        done_s = 1e-9 * (stamp_ns - self._start_ns)
-        speed = done_s / (now_s - self._begun_s)
-        sys.stderr.write(
-            f"\r\x1b[K{self._what}: {done_s / self._total_s:4.0%}  "
-            f"{done_s:.0f} of {self._total_s:.0f} s  {speed:.0f} x real time"
-        )
+    def _write(self, text: str) -> None:
+        sys.stderr.write(f"\r\x1b[K{text}")
         sys.stderr.flush()
 
     def __exit__(
@@ -45,5 +30,29 @@ class Progress:
         trace: TracebackType | None,
     ) -> None:
         if self._shown:
-            sys.stderr.write("\r\x1b[K")
-            sys.stderr.flush()
+            self._write("")
+
+
+class Progress(OneLine):
+    """One line on standard error that is written over; nothing where that is no terminal."""
+
+    def __init__(self, what: str, start_ns: int, end_ns: int, *, quiet: bool = False) -> None:
+        """``start_ns`` and ``end_ns``: first and last stamp of the log."""
+        super().__init__(shown=sys.stderr.isatty() and not quiet)
+        self._what = what
+        self._start_ns = start_ns
+        self._total_s = max(1e-9 * (end_ns - start_ns), 1e-9)
+        self._begun_s = self._written_s = time.perf_counter()
+
+    def at(self, stamp_ns: int) -> None:
+        """The log has been worked through up to ``stamp_ns``."""
+        now_s = time.perf_counter()
+        if not self._shown or now_s - self._written_s < PERIOD_S:
+            return
+        self._written_s = now_s
+        done_s = 1e-9 * (stamp_ns - self._start_ns)
+        speed = done_s / (now_s - self._begun_s)
+        self._write(
+            f"{self._what}: {done_s / self._total_s:4.0%}  "
+            f"{done_s:.0f} of {self._total_s:.0f} s  {speed:.0f} x real time"
+        )

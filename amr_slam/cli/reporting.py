@@ -11,10 +11,10 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
+from amr_slam.cli.progress import PERIOD_S, OneLine
 from amr_slam.commissioning import Eye, ReportError, ReportParams, make_report, usual_eyes
 from amr_slam.commissioning.about import About
 from amr_slam.commissioning.machine import facts
@@ -27,7 +27,6 @@ from amr_slam.simulation import SCANNERS
 
 # What a driver's devices see; a configuration does not tell.
 _MODELS: Final = {"sick_cola": "LMS111 0.5", "sick_safety": "microScan3 0.5"}
-_PERIOD_S: Final = 0.2
 
 
 def report(arguments: argparse.Namespace) -> int:
@@ -90,34 +89,24 @@ def _robot(config: Config | None) -> str:
     return f"{config.robot.name}, {count} {'scanner' if count == 1 else 'scanners'}"
 
 
-class _Steps:
+class _Steps(OneLine):
     """What is under way, on standard error: one line that is written over on a terminal, and a
     line for each step elsewhere."""
 
     def __init__(self) -> None:
-        self._over = sys.stderr.isatty()
+        super().__init__(shown=sys.stderr.isatty())
         self._begun_s = time.perf_counter()
         self._written_s = 0.0
         self._step = ""
 
-    def __enter__(self) -> Self:
-        return self
-
     def say(self, step: str, share: float | None) -> None:
         now_s = time.perf_counter()
-        if step == self._step and (not self._over or now_s - self._written_s < _PERIOD_S):
+        if step == self._step and (not self._shown or now_s - self._written_s < PERIOD_S):
             return
         self._step, self._written_s = step, now_s
         done = "" if share is None else f" {share:.0%}"
-        line = f"report: {now_s - self._begun_s:4.0f} s  {step}{done if self._over else ''}"
-        sys.stderr.write(f"\r\x1b[K{line}" if self._over else f"{line}\n")
-        sys.stderr.flush()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if self._over:
-            sys.stderr.write("\r\x1b[K")
+        line = f"report: {now_s - self._begun_s:4.0f} s  {step}{done if self._shown else ''}"
+        if self._shown:
+            self._write(line)
+        else:
+            sys.stderr.write(f"{line}\n")
