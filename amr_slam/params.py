@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Le
 from amr_slam.clouds import CloudParams
 from amr_slam.geometry import Array
 from amr_slam.living.params import WatchParams
-from amr_slam.map.pointmap import MapParams
+from amr_slam.map.params import MapParams
 from amr_slam.registration.cpd import CpdParams
 from amr_slam.registration.field import FieldParams
 from amr_slam.registration.icp import IcpParams

@@ -3,7 +3,8 @@
 from amr_slam.map.file import MapError, load_map, save_map
 from amr_slam.map.layers import Edit, Layer, LayerError, LayerKind, Layers
 from amr_slam.map.moving import moved
-from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.params import MapParams
+from amr_slam.map.pointmap import PointMap
 from amr_slam.map.provenance import Imported, Reframing
 from amr_slam.map.versions import LoadedMap, load_newest, roll_back
 

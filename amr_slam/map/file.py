@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from amr_slam.durable import write_durably
 from amr_slam.geometry import Pose2
 from amr_slam.map import layers
-from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.params import MapParams
+from amr_slam.map.pointmap import PointMap
 from amr_slam.map.provenance import from_header, imported_from_header, to_header
 from amr_slam.map.rays import Rays, nothing
 from amr_slam.map.ties import MapTies

@@ -19,7 +19,8 @@ from amr_slam.map.described import read_description
 from amr_slam.map.file import MapError
 from amr_slam.map.grid import Keys, SparseGrid
 from amr_slam.map.occupancy import OccupancyGrid, read_grid
-from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.params import MapParams
+from amr_slam.map.pointmap import PointMap
 from amr_slam.map.provenance import Imported
 from amr_slam.map.smoothing import smooth
 

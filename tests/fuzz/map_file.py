@@ -11,7 +11,8 @@ import numpy as np
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Pose2
 from amr_slam.map.file import MAGIC, MapError, decode, encode
-from amr_slam.map.pointmap import MapParams, PointMap
+from amr_slam.map.params import MapParams
+from amr_slam.map.pointmap import PointMap
 
 
 def target(data: bytes) -> None:
