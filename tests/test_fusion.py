@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amr_slam.fusion import Calibration, CalibrationParams, FilterParams, PoseFilter, error95_m
+from amr_slam.fusion.composing import Composed
 from amr_slam.fusion.ekf import MEASURED, STATES, Ekf, residual, seen
-from amr_slam.fusion.trail import Composed, Trail
+from amr_slam.fusion.trail import Trail
 from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.samples import Motion, Outcome, SlamPose, WheelSample

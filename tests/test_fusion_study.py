@@ -95,6 +95,7 @@ def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trial
         whitened=size * np.stack(white, axis=1),
         error95_m=nothing[..., 0],
         is_told=np.ones((100, 200), dtype=np.bool_),
+        age_s=np.zeros((100, 200)),
     )
 
 

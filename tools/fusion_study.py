@@ -16,11 +16,12 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.studies.fusion import between, events, pipeline, promise, recordings
+from amr_slam.studies.fusion import between, events, pipeline, promise, recordings, repeated
 from amr_slam.studies.report import Effort, Section, write_page
 
 STUDIES: Final[dict[str, Callable[[Effort], Section]]] = {
     "promise": promise.study,
+    "repeated": repeated.study,
     "between": between.study,
     "events": events.study,
     "pipeline": pipeline.study,

@@ -11,10 +11,11 @@ from typing import Final
 
 import numpy as np
 
+from amr_slam.fusion.composing import Composed
 from amr_slam.fusion.covariance import floored, sound, symmetric
 from amr_slam.fusion.ekf import CALIBRATION, MEASURED, POSE, Ekf, residual, seen
 from amr_slam.fusion.slipping import explicable, missed, suspicious, told
-from amr_slam.fusion.trail import Composed, Reported, Trail
+from amr_slam.fusion.trail import Reported, Trail
 from amr_slam.fusion.values import FilterParams, Innovation
 from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.samples import Outcome, SlamPose

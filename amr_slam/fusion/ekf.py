@@ -14,8 +14,8 @@ from typing import Final
 
 import numpy as np
 
+from amr_slam.fusion.composing import Composed
 from amr_slam.fusion.covariance import symmetric
-from amr_slam.fusion.trail import Composed
 from amr_slam.fusion.values import FilterParams
 from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
 

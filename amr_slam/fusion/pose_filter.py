@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import bisect
-
 import numpy as np
 
 from amr_slam.fusion.chain import Chain, State
 from amr_slam.fusion.covariance import symmetric, usable_covariance, usable_motion, usable_pose
 from amr_slam.fusion.ekf import CALIBRATION
+from amr_slam.fusion.history import History
 from amr_slam.fusion.slipping import LEAP_NS, leaps
 from amr_slam.fusion.trail import Trail
 from amr_slam.fusion.values import Calibration, FilterEstimate, FilterParams, Innovation, Slip
@@ -63,9 +62,8 @@ class PoseFilter:
         self._trail.append(motion)
         if not motion.gap and leaps(self._trail, self.params):
             known_ns = min(known_ns, self._doubt_newest())
-        ahead = bisect.bisect_right(self._fix_stamps_ns, known_ns - self._reach_ns)
         self._odom_from_base = self._odom_from_base @ self._believed(motion.delta)
-        self._absorb_from(ahead)
+        self._history.weigh_after(known_ns - self._reach_ns)
         self._now = None
         self._trim()
         return Outcome.ACCEPTED
@@ -83,11 +81,7 @@ class PoseFilter:
             return Outcome.INVALID
         if (refused := self._refused(fix.stamp_ns)) is not None:
             return refused
-        place = bisect.bisect_left(self._fix_stamps_ns, fix.stamp_ns)
-        self._fixes.insert(place, fix)
-        self._fix_stamps_ns.insert(place, fix.stamp_ns)
-        self._absorb_from(place)
-        self._innovation = self._innovations[place]
+        self._innovation = self._history.insert(fix)
         self._now = None
         return self._innovation.outcome
 
@@ -103,7 +97,7 @@ class PoseFilter:
         if self._is_future(stamp_ns):
             return Outcome.FUTURE
         at_ns = min(stamp_ns, self.stamp_ns)
-        before = self._state_at(max(at_ns, self._base.stamp_ns))
+        before = self._history.state_at(max(at_ns, self._history.start_ns))
         known = before.x[CALIBRATION], before.P[CALIBRATION, CALIBRATION]
         self._start(self._chain.begun(at_ns, map_from_base, covariance, known))
         self._epoch += 1
@@ -181,9 +175,9 @@ class PoseFilter:
         The prior for a scan. None outside the history; up to ``future_tolerance_s`` ahead of the
         wheels these go on as they last went.
         """
-        if stamp_ns < self._base.stamp_ns or self._is_future(stamp_ns):
+        if stamp_ns < self._history.start_ns or self._is_future(stamp_ns):
             return None
-        state = self._state_at(stamp_ns)
+        state = self._history.state_at(stamp_ns)
         return state.pose, state.covariance
 
     def motion_between(self, start_ns: int, end_ns: int) -> Motion | None:
@@ -233,11 +227,7 @@ class PoseFilter:
     # -- how
 
     def _start(self, begun: State) -> None:
-        self._base = begun
-        self._fixes: list[SlamPose] = []
-        self._fix_stamps_ns: list[int] = []
-        self._posteriors: list[State] = []
-        self._innovations: list[Innovation] = []
+        self._history = History(self._chain, begun)
         self._now = None
 
     def _is_future(self, stamp_ns: int) -> bool:
@@ -248,16 +238,16 @@ class PoseFilter:
         if self._is_future(stamp_ns):
             return Outcome.FUTURE
         # By time, not by what happens to be kept: the same data must give the same answer.
-        if stamp_ns < max(self._base.stamp_ns, self.stamp_ns - 1e9 * self.params.history_s):
+        if stamp_ns < max(self._history.start_ns, self.stamp_ns - 1e9 * self.params.history_s):
             return Outcome.LATE
-        if stamp_ns == self._base.stamp_ns or stamp_ns in self._fix_stamps_ns:
+        if self._history.holds(stamp_ns):
             return Outcome.DUPLICATE
         return None
 
     @property
     def _last(self) -> State:
         """The state after the newest fix."""
-        return self._posteriors[-1] if self._posteriors else self._base
+        return self._history.last
 
     @property
     def _reach_ns(self) -> int:
@@ -289,19 +279,6 @@ class PoseFilter:
             self._now = self._chain.advanced(self._last, self.stamp_ns)
         return self._now
 
-    def _state_at(self, stamp_ns: int) -> State:
-        """State at an instant of the history, with the fixes up to it."""
-        fixes = bisect.bisect_right(self._fix_stamps_ns, stamp_ns)
-        return self._chain.advanced(self._posteriors[fixes - 1] if fixes else self._base, stamp_ns)
-
-    def _absorb_from(self, first: int) -> None:
-        """Weigh and absorb the fixes from the given one on, in the order of their stamps."""
-        del self._posteriors[first:], self._innovations[first:]
-        for fix in self._fixes[first:]:
-            posterior, innovation = self._chain.absorbed(self._last, fix)
-            self._posteriors.append(posterior)
-            self._innovations.append(innovation)
-
     def _trim(self) -> None:
         """Forget what is older than the history; when depends on the wheels' stamps alone."""
         history_ns = 1e9 * self.params.history_s
@@ -310,10 +287,7 @@ class PoseFilter:
         cut_ns = self._trail.node_before(self.stamp_ns - round(history_ns))
         if cut_ns == self._trail.start_ns:  # one long gap covers the history
             return
-        if cut_ns > self._base.stamp_ns:
-            self._base = self._state_at(cut_ns)
-            gone = bisect.bisect_right(self._fix_stamps_ns, cut_ns)
-            del self._fixes[:gone], self._fix_stamps_ns[:gone]
-            del self._posteriors[:gone], self._innovations[:gone]
+        if cut_ns > self._history.start_ns:
+            self._history.forget_before(cut_ns)
         # Wheels whose stamps are early by the lag belong to later instants of the scans.
         self._trail.forget_before(cut_ns - self._reach_ns)

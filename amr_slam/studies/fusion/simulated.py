@@ -82,9 +82,13 @@ class Recording:
     slips_ns: tuple[tuple[int, int], ...] = ()
     """Begin and end of each slip, on the scans' clock."""
 
+    def newest_scan_ns(self, stamp_ns: int) -> int:
+        """Stamp of the newest scan whose fix has come by an instant; 0 before the first."""
+        return max((fix.stamp_ns for at_ns, fix in self.fixes if at_ns <= stamp_ns), default=0)
+
     def has_untold_slip(self, stamp_ns: int) -> bool:
         """Whether wheels have slipped by an instant and no scan of the time after has come yet."""
-        newest_ns = max((fix.stamp_ns for at_ns, fix in self.fixes if at_ns <= stamp_ns), default=0)
+        newest_ns = self.newest_scan_ns(stamp_ns)
         return any(begin <= stamp_ns and newest_ns < end for begin, end in self.slips_ns)
 
 

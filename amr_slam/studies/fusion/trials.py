@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -40,11 +41,23 @@ class Trials:
     is_told: NDArray[np.bool_]
     """(runs, steps) whether all that the wheels have missed so far is in a scan that has come: of a
     slip before that nobody can know."""
+    age_s: Array
+    """(runs, steps) since the newest scan whose fix has come, or since the given pose."""
 
     @property
     def nees(self) -> Array:
         """(runs, steps) normalized squared error of the filter's own pose."""
         return np.asarray(np.square(self.whitened).sum(axis=-1))
+
+    def nees_of(self, chosen: NDArray[np.bool_]) -> tuple[float, float]:
+        """Mean of :attr:`nees` over the chosen (runs, steps), and its standard deviation, by
+        runs."""
+        counts = chosen.sum(axis=1)
+        sums = (self.nees * chosen).sum(axis=1)
+        mean = float(sums.sum() / counts.sum())
+        off = sums - mean * counts
+        runs = len(counts)
+        return mean, float(off.std(ddof=1) * np.sqrt(runs) / counts.sum())
 
     @property
     def is_covered(self) -> Array:
@@ -83,7 +96,13 @@ class Trials:
 
     def honest(self, rng: np.random.Generator, *, told: bool = False) -> tuple[float, float]:
         """Between these lie 90 % of the shares that filters of true covariance reach with so many
-        runs, their errors correlated in time as these are. ``told``: as :attr:`consistent_told`.
+        runs. ``told``: as :attr:`consistent_told`."""
+        low, high = np.quantile(self.honest_shares(rng, told=told), (0.05, 0.95))
+        return float(low), float(high)
+
+    def honest_shares(self, rng: np.random.Generator, *, told: bool = False) -> Array:
+        """(n,) shares that filters of true covariance reach with so many runs, their errors
+        correlated in time as these are.
 
         Drawn: Gaussian mixtures of the runs at hand, made white at every step.
         """
@@ -94,9 +113,7 @@ class Trials:
         white = np.einsum("tij,rtj->rti", to_white, whitened) / np.sqrt(runs)
         every = np.ones_like(self.is_told)
         draws = (rng.standard_normal((runs, runs)) for _ in range(_DRAWS))
-        shares = [_inside(np.tensordot(draw, white, axes=1), every) for draw in draws]
-        low, high = np.quantile(shares, (0.05, 0.95))
-        return float(low), float(high)
+        return np.array([_inside(np.tensordot(draw, white, axes=1), every) for draw in draws])
 
 
 def _inside(whitened: Array, counted: NDArray[np.bool_]) -> float:
@@ -129,22 +146,23 @@ def trials(
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(workers, mp_context=context) as pool:
             found = list(pool.map(one, range(runs), chunksize=_CHUNK))
-    errors, covariances, whitened, claims, is_told = (
-        np.array(column) for column in zip(*found, strict=True)
-    )
+    return joined(found)
+
+
+def joined(parts: Sequence[Trials]) -> Trials:
+    """All their runs, which are of one scenario."""
     return Trials(
-        errors=errors,
-        covariances=covariances,
-        whitened=whitened,
-        error95_m=claims,
-        is_told=is_told,
+        errors=np.concatenate([one.errors for one in parts]),
+        covariances=np.concatenate([one.covariances for one in parts]),
+        whitened=np.concatenate([one.whitened for one in parts]),
+        error95_m=np.concatenate([one.error95_m for one in parts]),
+        is_told=np.concatenate([one.is_told for one in parts]),
+        age_s=np.concatenate([one.age_s for one in parts]),
     )
 
 
-def _run(
-    scenario: Scenario, params: FilterParams, seed: int, run: int
-) -> tuple[Array, Array, Array, Array, NDArray[np.bool_]]:
-    """One drive's columns of :class:`Trials`."""
+def _run(scenario: Scenario, params: FilterParams, seed: int, run: int) -> Trials:
+    """One drive."""
     rng = np.random.default_rng((seed, run))
     wrong = believed(params, rng)
     drive = record(scenario, wrong, rng)
@@ -158,11 +176,20 @@ def _run(
         own, covariance = robot.filter.map_from_base, robot.filter.covariance
         white = np.linalg.solve(np.linalg.cholesky(covariance), twist_off(own, truth))
         is_told = not drive.has_untold_slip(one.stamp_ns)
-        rows.append((off(one.map_from_base, truth), one.covariance, white, one.error95_m, is_told))
-    errors, covariances, whitened, claims, told = (
-        np.array(column) for column in zip(*rows, strict=True)
+        age_s = 1e-9 * (one.stamp_ns - drive.newest_scan_ns(one.stamp_ns))
+        error = off(one.map_from_base, truth)
+        rows.append((error, one.covariance, white, one.error95_m, is_told, age_s))
+    errors, covariances, whitened, claims, told, ages = (
+        np.array(column)[None] for column in zip(*rows, strict=True)
     )
-    return errors, covariances, whitened, claims, told
+    return Trials(
+        errors=errors,
+        covariances=covariances,
+        whitened=whitened,
+        error95_m=claims,
+        is_told=told,
+        age_s=ages,
+    )
 
 
 def believed(params: FilterParams, rng: np.random.Generator) -> WheelErrors:
