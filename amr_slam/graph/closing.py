@@ -187,7 +187,7 @@ def doubtful(found: Hypothesis, rules: ClosingParams) -> bool:
 def loop_edge(row: int, submap: Submap, found: Hypothesis) -> Edge:
     """From the submap's nearest node to the scan that was found in it."""
     _, number = submap.nearest(found.pose)
-    anchor = submap.poses[number]
+    anchor = Pose2.from_array(submap.poses[number])
     covariance = inverse_matrix(found.alignment.information + _NOTHING)
     return Edge(
         start=int(submap.rows[number]),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
 
 _ITERATIONS: Final = 20
-_SMALL: Final = 1e-6
+_SMALL: Final = 1e-4
 """A step below this (m, rad) ends the iteration."""
 _KERNEL_D2: Final = 16.27
 """Squared Mahalanobis distance at which a loop edge has a quarter of its weight in the end: what
@@ -119,7 +119,7 @@ class _Stack:
 
     def d2(self, poses: Array) -> Array:
         off = self.residuals(poses)
-        return np.asarray(np.einsum("mi,mij,mj->m", off, self._information, off))
+        return np.asarray(np.sum(off * _times(self._information, off), axis=1))
 
     def cost(self, poses: Array) -> float:
         d2 = self.d2(poses)
@@ -129,8 +129,10 @@ class _Stack:
         """(3(n-1), 3(n-1)) and (3(n-1),): of all poses but the first."""
         a, b = poses[self._start], poses[self._end]
         off = self.residuals(poses)
-        d2 = np.einsum("mi,mij,mj->m", off, self._information, off)
+        pull = _times(self._information, off)
+        d2 = np.sum(off * pull, axis=1)
         weight = np.where(self._loop, (self.kernel_d2 / (self.kernel_d2 + d2)) ** 2, 1.0)
+        pull = weight[:, None] * pull
         information = weight[:, None, None] * self._information
         cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
         dx, dy = (b - a)[:, 0], (b - a)[:, 1]
@@ -143,16 +145,19 @@ class _Stack:
         by_start[:, 0, 2] = cos * dy - sin * dx
         by_start[:, 1, 2] = -cos * dx - sin * dy
         by_start[:, 2, 2] = -1.0
-        sides = ((self._start, by_start), (self._end, by_end))
+        sides = (
+            (self._start, by_start.transpose(0, 2, 1), information @ by_start),
+            (self._end, by_end.transpose(0, 2, 1), information @ by_end),
+        )
         size = 3 * self._count
         gradient = np.zeros(size)
         rows, columns, values = [], [], []
-        for row, jacobian in sides:
-            part = np.einsum("mki,mkl,ml->mi", jacobian, information, off)
+        for row, jacobian, _ in sides:
             where = (3 * row[:, None] + np.arange(3)).ravel()
+            part = _times(jacobian, pull)
             gradient += np.bincount(where, weights=part.ravel(), minlength=size)
-            for column, other in sides:
-                block = np.einsum("mki,mkl,mlj->mij", jacobian, information, other)
+            for column, _, other in sides:
+                block = jacobian @ other
                 rows.append(_spread(row, 1))
                 columns.append(_spread(column, 0))
                 values.append(block.ravel())
@@ -161,6 +166,11 @@ class _Stack:
             shape=(size, size),
         )
         return normal[3:, 3:], gradient[3:]
+
+
+def _times(matrices: Array, vectors: Array) -> Array:
+    """(m, 3) each matrix of (m, 3, 3) by its vector."""
+    return np.asarray(np.matmul(matrices, vectors[..., None])[..., 0])
 
 
 def _spread(nodes: NDArray[np.intp], axis: int) -> NDArray[np.intp]:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy
 
 from amr_slam.clouds import Cloud
-from amr_slam.geometry import Array, Pose2
+from amr_slam.geometry import Array, Pose2, readonly
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration import rdnm
@@ -57,7 +57,7 @@ class Growing:
         places = places[away_m <= params.closing.beyond_m]
         return Submap(
             rows=np.array(self.rows),
-            poses=tuple(self.poses),
+            poses=readonly(np.array([pose.as_array() for pose in self.poses])),
             target=replace(target),
             places=places,
             signatures=rdnm.of_map(target, places, params.rdnm),
@@ -71,8 +71,8 @@ class Submap:
 
     rows: np.ndarray[tuple[int], np.dtype[np.int64]]
     """(k,) of the nodes whose scans it is made of."""
-    poses: tuple[Pose2, ...]
-    """Of these nodes, in the submap's frame."""
+    poses: Array
+    """(k, 3) of these nodes, in the submap's frame."""
     target: Target
     """Its walls. Registered in is :meth:`Submaps.target`, which remembers the look-up."""
     places: Array
@@ -83,11 +83,14 @@ class Submap:
     def map_from_submap(self, poses: Array) -> Pose2:
         """Where its frame lies, by the node in its middle; ``poses`` (n, 3): of all nodes."""
         middle = len(self.rows) // 2
-        return Pose2.from_array(poses[self.rows[middle]]) @ self.poses[middle].inverse()
+        submap_from_node = Pose2.from_array(self.poses[middle])
+        return Pose2.from_array(poses[self.rows[middle]]) @ submap_from_node.inverse()
 
     def nearest(self, pose: Pose2) -> tuple[float, int]:
         """Distance in m to the nearest of its nodes, and that one's number in it."""
-        return min((one.distance_to(pose), number) for number, one in enumerate(self.poses))
+        away_m = np.hypot(*(self.poses[:, :2] - pose.translation).T)
+        number = int(np.argmin(away_m))
+        return float(away_m[number]), number
 
 
 class Submaps:

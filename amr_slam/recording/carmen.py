@@ -152,7 +152,7 @@ def _pose(xyt: list[float]) -> Pose2:
 
 
 def _ranges(fields: list[str], no_return_m: float) -> Array:
-    ranges = np.array([float(field) for field in fields])
+    ranges = np.fromiter(map(float, fields), np.float64, len(fields))
     ranges[~(ranges > 0.0)] = np.nan
     ranges[ranges >= no_return_m] = np.inf
     return ranges

@@ -24,63 +24,6 @@ NONE: Final = 65535
 
 
 @jit
-def stamp_nearest(
-    points: Array,
-    normals: Array,
-    layout: Layout,
-    shape: tuple[int, int],
-    reach: float,
-    within: float,
-) -> tuple[Index, Index, Pool]:
-    """Tiles (5, ty, tx), first rows (k,) and pool (k, TILE, TILE) of :class:`lookup.Lookup`: the
-    row of the point nearest to each cell's centre, by stamping a disc around every point."""
-    x0, y0, cell = layout
-    ty, tx = shape
-    span = math.ceil(reach / cell)
-    tiles = np.full((5, ty, tx), -1, dtype=np.int32)
-    count = 0
-    member = np.zeros((points.shape[0], 5), dtype=np.bool_)
-    for k in range(points.shape[0]):
-        member[k, 0] = True
-        member[k, 1] = normals[k, 0] >= within
-        member[k, 2] = normals[k, 1] >= within
-        member[k, 3] = -normals[k, 0] >= within
-        member[k, 4] = -normals[k, 1] >= within
-        cx = math.floor((points[k, 0] - x0) / cell)
-        cy = math.floor((points[k, 1] - y0) / cell)
-        for jy in range(max(cy - span, 0) // TILE, min((cy + span) // TILE + 1, ty)):
-            for jx in range(max(cx - span, 0) // TILE, min((cx + span) // TILE + 1, tx)):
-                for layer in range(5):
-                    if member[k, layer] and tiles[layer, jy, jx] < 0:
-                        tiles[layer, jy, jx] = count
-                        count += 1
-    first = np.full(count, -1, dtype=np.int32)
-    pool = np.full((count, TILE, TILE), NONE, dtype=np.uint16)
-    best = np.full((count, TILE, TILE), reach * reach)
-    for k in range(points.shape[0]):
-        px, py = points[k, 0], points[k, 1]
-        cx = math.floor((px - x0) / cell)
-        cy = math.floor((py - y0) / cell)
-        for iy in range(max(cy - span, 0), min(cy + span + 1, ty * TILE)):
-            dy = y0 + (iy + 0.5) * cell - py
-            for ix in range(max(cx - span, 0), min(cx + span + 1, tx * TILE)):
-                dx = x0 + (ix + 0.5) * cell - px
-                d2 = dx * dx + dy * dy
-                if d2 >= reach * reach:
-                    continue
-                for layer in range(5):
-                    if member[k, layer]:
-                        tile = tiles[layer, iy // TILE, ix // TILE]
-                        if d2 < best[tile, iy % TILE, ix % TILE]:
-                            best[tile, iy % TILE, ix % TILE] = d2
-                            # Points come sorted: the first that a tile sees has its least row.
-                            if first[tile] < 0:
-                                first[tile] = k
-                            pool[tile, iy % TILE, ix % TILE] = k - first[tile]
-    return tiles, first, pool
-
-
-@jit
 def row_at(layer: int, iy: int, ix: int, tiles: Index, first: Index, pool: Pool) -> int:
     """The nearest point's row of a cell that lies inside the grid, or -1."""
     tile = tiles[layer, iy // TILE, ix // TILE]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from amr_slam.compiled import ENABLED
 from amr_slam.geometry import Array
-from amr_slam.registration import kernels
+from amr_slam.registration import kernels, nearest
 
 Rows = NDArray[np.intp]
 
@@ -116,8 +116,8 @@ def build(
     x0, y0 = (float(c) for c in np.floor(low / (2.0 * cell_m)) * 2.0 * cell_m)
     tx, ty = (int(size / (TILE * cell_m)) + 1 for size in high - [x0, y0])
     layout = (x0, y0, cell_m)
-    stamp = kernels.stamp_nearest if ENABLED else _stamp_in_numpy
-    tiles, first, pool = stamp(points_m, normals, layout, (ty, tx), reach_m, _WITHIN)
+    find = nearest.nearest_points if ENABLED else _nearest_in_numpy
+    tiles, first, pool = find(points_m, normals, layout, (ty, tx), reach_m, _WITHIN)
     free = np.zeros((ty * TILE // 2, tx * TILE // 2), dtype=np.bool_)
     index = np.floor((free_m - [x0, y0]) / (2.0 * cell_m)).astype(np.int64)
     free[index[:, 1], index[:, 0]] = True
@@ -127,7 +127,7 @@ def build(
     )  # fmt: skip
 
 
-def _stamp_in_numpy(
+def _nearest_in_numpy(
     points: Array,
     normals: Array,
     layout: tuple[float, float, float],
@@ -135,7 +135,7 @@ def _stamp_in_numpy(
     reach: float,
     within: float,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.uint16]]:
-    """What :func:`kernels.stamp_nearest` does, by k-d trees."""
+    """What :func:`nearest.nearest_points` does, by k-d trees."""
     x0, y0, cell = layout
     ty, tx = shape
     tiles = np.full((5, ty, tx), -1, dtype=np.int32)

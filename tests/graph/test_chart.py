@@ -153,10 +153,10 @@ def test_what_grows_follows_what_is_finished_keeps_its_shape() -> None:
         cloud = cloud_at(lab(0), tour_poses(0)[row], rng, sigma_m=0.01, stamp_ns=row)
         submaps.insert(row, cloud, pose, [0.6 * n for n in range(row + 1)])
     (finished,) = submaps.finished
-    shape = list(finished.poses)
+    shape = finished.poses.copy()
     moved = np.array([(Pose2(1.0, 2.0, 0.5) @ pose).as_array() for pose in poses])
     submaps.move(moved)
-    assert list(finished.poses) == shape
+    np.testing.assert_array_equal(finished.poses, shape)
     assert finished.map_from_submap(moved).distance_to(Pose2(1.0, 2.0, 0.5)) < 1e-9
     for stamp_ns, pose in submaps.local.path:
         assert pose.distance_to(Pose2.from_array(moved[stamp_ns])) < 1e-9
