@@ -10,15 +10,13 @@ from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2, inverse_matrix, turned
 from amr_slam.graph.closing import Closing
 from amr_slam.graph.drift import Ties
-from amr_slam.graph.posegraph import Edge, optimize, strains
+from amr_slam.graph.posegraph import BEND, Edge, optimize, strains
 from amr_slam.graph.recalling import Recalling
 from amr_slam.graph.submaps import Submaps
 from amr_slam.map import PointMap
 from amr_slam.map.ties import MapTies
 from amr_slam.params import SlamParams
 
-_STEP: Final = np.diag([0.02**2, 0.02**2, 0.006**2])
-"""Covariance that each step of the way has at least: submaps bend."""
 _MOVED_M: Final = 0.01
 _MOVED_RAD: Final = 0.002
 """A loop that moves the newest pose by less is not worth an announcement."""
@@ -36,7 +34,7 @@ class Chart:
         self._closing = Closing(params)
         self._recalling = Recalling(params)
         self._submaps = Submaps(params)
-        self._ties = Ties()
+        self._ties = Ties(params.closing.drift_model)
         self._sought_m = -np.inf
         self._waiting = 0  # loops that the poses do not know yet
         self.edges: list[Edge] = []
@@ -110,7 +108,7 @@ class Chart:
         if not rules.enabled or not due:
             return None
         self._sought_m = way_m
-        drift = self._ties.drift(self.poses, rules.drift_model)
+        drift = self._ties.drift(self.poses)
         found = self._closing.seek(cloud, self.poses, self._ways_m, drift, self._submaps)
         found += self._recalling.seek(self.poses, self._ways_m, drift, self._submaps)
         if not found:
@@ -152,5 +150,5 @@ def _step(row: int, before: Pose2, after: Pose2, covariance: Array) -> Edge:
         start=row - 1,
         end=row,
         delta=before.inverse() @ after,
-        information=inverse_matrix(turned(covariance, before.rotation.T) + _STEP),
+        information=inverse_matrix(turned(covariance, before.rotation.T) + BEND),
     )
