@@ -9,7 +9,7 @@ import numpy as np
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2, inverse_matrix, turned
 from amr_slam.graph.closing import Closing
-from amr_slam.graph.drift import Ties
+from amr_slam.graph.drift import Ties, astray_m
 from amr_slam.graph.posegraph import BEND, Edge, optimize, strains
 from amr_slam.graph.recalling import Recalling
 from amr_slam.graph.submaps import Submaps
@@ -59,10 +59,12 @@ class Chart:
         chart._ways_m = [0.0, *(float(way_m) for way_m in np.cumsum(away_m))]
         chart._sought_m = chart._ways_m[-1]
         chart._tie([_edge(ties, row) for row in range(len(ties))])
+        model = params.closing.drift_model
+        apart = {edge.end for edge in chart.edges if not edge.loop and astray_m(edge, model) > 0.0}
         for row, (stamp_ns, pose) in enumerate(known.path):
             if len(known.rays[row]):
                 cloud = known.rays[row].cloud(stamp_ns, known.noises_m[row])
-                chart._submaps.insert(row, cloud, pose, chart._ways_m)
+                chart._submaps.insert(row, cloud, pose, chart._ways_m, apart=row in apart)
         return chart
 
     def ties(self) -> MapTies:
@@ -96,13 +98,15 @@ class Chart:
         Where that closes a loop: what takes poses of before to poses of now, at the newest node.
         """
         row = len(self.poses)
-        way_m = 0.0
+        way_m, apart = 0.0, False
         if row:
             way_m = self._ways_m[-1] + self.newest.distance_to(pose)
-            self._tie([_step(row, self.newest, pose, covariance)])
+            step = _step(row, self.newest, pose, covariance)
+            apart = astray_m(step, self._params.closing.drift_model) > 0.0
+            self._tie([step])
         self.poses = np.concatenate([self.poses, pose.as_array()[np.newaxis]])
         self._ways_m.append(way_m)
-        self._submaps.insert(row, cloud, pose, self._ways_m)
+        self._submaps.insert(row, cloud, pose, self._ways_m, apart=apart)
         rules = self._params.closing
         due = way_m - self._sought_m >= rules.step_m and len(self._submaps.finished) > 0
         if not rules.enabled or not due:

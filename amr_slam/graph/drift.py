@@ -37,6 +37,14 @@ class Drift:
     """(n, 2, 2) covariance, in the axes of the map."""
 
 
+def astray_m(edge: Edge, params: DriftParams) -> float:
+    """The way that would make the heading as unsure as what the edge itself does not know of it;
+    0 where that is no more than scans that are registered in the same piece share."""
+    unknown_rad2 = float(inverse_matrix(edge.information)[2, 2] - BEND[2, 2])
+    way_m = unknown_rad2 / params.heading_radpsqrtm**2
+    return way_m if way_m > params.shared_m else 0.0
+
+
 class Ties:
     """The ways that nodes are tied by."""
 
@@ -52,13 +60,14 @@ class Ties:
         """Further steps and loops."""
         for edge in edges:
             way_m = 0.0 if edge.loop else math.hypot(edge.delta.x_m, edge.delta.y_m)
-            known = inverse_matrix(edge.information) - BEND
-            astray_m = float(known[2, 2]) / self._params.heading_radpsqrtm**2
+            way_m = max(way_m, _LEAST_M)
+            unknown_m2 = inverse_matrix(edge.information)[:2, :2] - BEND[:2, :2]
+            place_m2 = float(np.linalg.eigvalsh(unknown_m2)[-1])
             self._starts.append(edge.start)
             self._ends.append(edge.end)
-            self._ways_m.append(max(way_m, _LEAST_M))
-            self._astray_m.append(max(way_m, astray_m, _LEAST_M))
-            self._places_m2.append(max(float(np.linalg.eigvalsh(known[:2, :2])[-1]), 0.0))
+            self._ways_m.append(way_m)
+            self._astray_m.append(max(way_m, astray_m(edge, self._params)))
+            self._places_m2.append(place_m2 if place_m2 > self._params.place_m**2 else 0.0)
 
     def drift(self, poses: Array) -> Drift:
         """Of the newest of all nodes' poses (n, 3). Takes about a microsecond a node."""
