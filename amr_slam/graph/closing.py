@@ -67,7 +67,7 @@ class Closing:
         rules = self._params.closing
         edges: list[Edge] = []
         pose = Pose2.from_array(poses[-1])
-        near = self._within_reach(pose, poses, ways_m, drift, submaps.finished)
+        near = self._within_reach(pose, poses, ways_m, drift, submaps)
         for number, expected, reach_m in near:
             closure = self._find(cloud, len(poses) - 1, number, submaps, expected, reach_m)
             if closure is None:
@@ -88,15 +88,18 @@ class Closing:
         poses: Array,
         ways_m: Sequence[float],
         drift: Drift,
-        submaps: Sequence[Submap],
+        submaps: Submaps,
     ) -> Iterator[tuple[int, Pose2, float]]:
         """(number, pose expected in its frame, how far it may be off) of submaps to look in."""
         rules, near = self._params.closing, []
-        for number, submap in enumerate(submaps):
+        reaches_m = rules.reach_m + rules.drift * submaps.least(drift.ways_m)
+        reaches_m = np.minimum(reaches_m, rules.most_m)
+        # No node of a piece is farther from its middle than the piece is long.
+        seen_m = reaches_m + rules.beyond_m + rules.submap_m
+        for number in np.flatnonzero(submaps.away_m(poses, pose) <= seen_m).tolist():
+            submap, reach_m = submaps.finished[number], float(reaches_m[number])
             if ways_m[-1] - ways_m[submap.rows[-1]] < rules.least_way_m:
                 continue
-            reach_m = rules.reach_m + rules.drift * float(drift.ways_m[submap.rows].min())
-            reach_m = min(reach_m, rules.most_m)
             expected = submap.map_from_submap(poses).inverse() @ pose
             distance_m, _ = submap.nearest(expected)
             if distance_m <= reach_m + rules.beyond_m:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from amr_slam.clouds import Cloud
 from amr_slam.evidence import Hypothesis, Rung, apart, objection
@@ -90,12 +91,11 @@ class Recalling:
 
     def _far(self, drift: Drift, submaps: Submaps) -> bool:
         """Whether any submap is out of reach for a single scan."""
-        return any(self._is_far(drift, submap) for submap in submaps.finished)
+        return bool(self._are_far(submaps.least(drift.ways_m)).any())
 
-    def _is_far(self, drift: Drift, submap: Submap) -> bool:
+    def _are_far(self, ways_m: Array) -> NDArray[np.bool_]:
         rules = self._params.closing
-        way_m = float(drift.ways_m[submap.rows].min())
-        return rules.reach_m + rules.drift * way_m > rules.most_m
+        return rules.reach_m + rules.drift * ways_m > rules.most_m
 
     def _fits(
         self, piece: Cloud, pose: Pose2, poses: Array, drift: Drift, submaps: Submaps
@@ -104,10 +104,10 @@ class Recalling:
         params = self._params
         view = rdnm.views(submaps.local.target(pose), pose.translation[np.newaxis], params.rdnm)[0]
         rough: list[tuple[float, int, Array]] = []
-        for number, submap in enumerate(submaps.finished):
-            if float(drift.ways_m[submap.rows].min()) < params.closing.rival_way_m:
-                continue
-            here = self._candidates(view, pose, poses, drift, submap)
+        rivals = submaps.least(drift.ways_m) >= params.closing.rival_way_m
+        rivals &= submaps.away_m(poses, pose) <= self._reaches_m(drift, submaps) + _NEAR_M
+        for number in np.flatnonzero(rivals).tolist():
+            here = self._candidates(view, pose, poses, drift, submaps.finished[number])
             rough += [(float(row[3]), number, row[:3]) for row in here]
         rough.sort(key=lambda one: one[:2])
         chosen: dict[int, list[Array]] = {}
@@ -121,6 +121,11 @@ class Recalling:
             for place in answer.places:
                 yield _Found(submap=number, place=place, pose=map_from_submap @ place.pose)
 
+    def _reaches_m(self, drift: Drift, submaps: Submaps) -> Array:
+        """(m,) how far each finished piece may lie from where it is thought to lie."""
+        spread = drift.places_m2[[submap.middle for submap in submaps.finished]]
+        return np.sqrt(self._params.closing.beyond_d2 * np.linalg.eigvalsh(spread)[:, -1])
+
     def _candidates(
         self, view: Array, pose: Pose2, poses: Array, drift: Drift, submap: Submap
     ) -> Array:
@@ -128,15 +133,11 @@ class Recalling:
         place, in the axes of the map."""
         params, rules = self._params, self._params.closing
         map_from_submap = submap.map_from_submap(poses)
-        middle = int(submap.rows[len(submap.rows) // 2])
-        spread = drift.places_m2[middle]
-        reach_m = np.sqrt(rules.beyond_d2 * np.linalg.eigvalsh(spread)[-1])
-        if np.hypot(*(poses[middle, :2] - pose.translation)) > reach_m + _NEAR_M:
-            return np.empty((0, 4))
+        spread = drift.places_m2[submap.middle]
         off = map_from_submap @ submap.places - pose.translation
         d2 = np.einsum("mi,ij,mj->m", off, np.linalg.inv(spread), off)
         here = d2 <= rules.beyond_d2
-        turn_rad = rules.turn_rad + np.sqrt(rules.beyond_d2) * drift.headings_rad[middle]
+        turn_rad = rules.turn_rad + np.sqrt(rules.beyond_d2) * drift.headings_rad[submap.middle]
         rough = rdnm.rdnm(
             view,
             submap.signatures[here],
@@ -158,13 +159,14 @@ class Recalling:
         best = max(found, key=lambda one: one.place.score)
         submap = submaps.finished[best.submap]
         others = [one.place.score for one in found if _elsewhere(one, best)]
-        middle = int(submap.rows[len(submap.rows) // 2])
         off = best.pose.translation - pose.translation
         turn_rad = abs(wrap_angle(best.pose.theta_rad - pose.theta_rad))
-        far_off = float(off @ np.linalg.inv(drift.places_m2[middle]) @ off) > rules.beyond_d2
-        turned = turn_rad > rules.turn_rad + np.sqrt(rules.beyond_d2) * drift.headings_rad[middle]
+        far_off = float(off @ np.linalg.inv(drift.places_m2[submap.middle]) @ off) > rules.beyond_d2
+        turned = (
+            turn_rad > rules.turn_rad + np.sqrt(rules.beyond_d2) * drift.headings_rad[submap.middle]
+        )
         if (
-            not self._is_far(drift, submap)
+            not self._are_far(drift.ways_m[submap.rows].min())
             or best.place.score - max(others, default=0.0) < bar.margin
             or objection(best.place, bar) is not None
             or doubtful(best.place, rules)

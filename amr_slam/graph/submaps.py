@@ -80,11 +80,15 @@ class Submap:
     signatures: Packed
     """(m, sections) of the walls, seen from there."""
 
+    @property
+    def middle(self) -> int:
+        """The node in its middle."""
+        return int(self.rows[len(self.rows) // 2])
+
     def map_from_submap(self, poses: Array) -> Pose2:
         """Where its frame lies, by the node in its middle; ``poses`` (n, 3): of all nodes."""
-        middle = len(self.rows) // 2
-        submap_from_node = Pose2.from_array(self.poses[middle])
-        return Pose2.from_array(poses[self.rows[middle]]) @ submap_from_node.inverse()
+        submap_from_node = Pose2.from_array(self.poses[len(self.rows) // 2])
+        return Pose2.from_array(poses[self.middle]) @ submap_from_node.inverse()
 
     def nearest(self, pose: Pose2) -> tuple[float, int]:
         """Distance in m to the nearest of its nodes, and that one's number in it."""
@@ -101,6 +105,8 @@ class Submaps:
         self._older = Growing(map=PointMap(params.map))
         self._younger: Growing | None = None
         self.finished: list[Submap] = []
+        self._rows = np.empty(0, dtype=np.intp)  # of all that are finished, one after the other
+        self._firsts: list[int] = []
         self._in_use: dict[int, Target] = {}
 
     @property
@@ -118,9 +124,24 @@ class Submaps:
             del self._in_use[next(iter(self._in_use))]
         return target
 
-    def insert(self, row: int, cloud: Cloud, pose: Pose2, ways_m: Sequence[float]) -> None:
-        """Add the scan of a node; ``ways_m``: driven up to each node."""
+    def least(self, values: Array) -> Array:
+        """(m,) of each finished piece, the least of its nodes' values; ``values`` (n,): of all
+        nodes. There must be a piece."""
+        return np.asarray(np.minimum.reduceat(values[self._rows], self._firsts))
+
+    def away_m(self, poses: Array, pose: Pose2) -> Array:
+        """(m,) of each finished piece, the distance of the node in its middle from a pose."""
+        middles = [submap.middle for submap in self.finished]
+        return np.asarray(np.hypot(*(poses[middles, :2] - pose.translation).T))
+
+    def insert(
+        self, row: int, cloud: Cloud, pose: Pose2, ways_m: Sequence[float], *, apart: bool = False
+    ) -> None:
+        """Add the scan of a node; ``ways_m``: driven up to each node. ``apart``: nobody knows well
+        how it lies to those before; a piece that held both would be bent."""
         length_m = self._params.closing.submap_m
+        if apart and self._older.rows:
+            self._finish(Growing(map=PointMap(self._params.map)))
         self._older.insert(row, cloud, pose)
         way_m = ways_m[row] - ways_m[self._older.rows[0]]
         if self._younger is None and way_m > 0.5 * length_m:
@@ -128,8 +149,14 @@ class Submaps:
         if self._younger is not None:
             self._younger.insert(row, cloud, pose)
             if way_m > length_m:
-                self.finished.append(self._older.finished(self._params))
-                self._older, self._younger = self._younger, None
+                self._finish(self._younger)
+
+    def _finish(self, following: Growing) -> None:
+        """The older piece is kept; ``following`` takes its place."""
+        self._firsts.append(len(self._rows))
+        self._rows = np.concatenate([self._rows, self._older.rows])
+        self.finished.append(self._older.finished(self._params))
+        self._older, self._younger = following, None
 
     def piece(self, ways_m: Sequence[float], length_m: float, apart_m: float) -> Cloud:
         """The scans of the last ``length_m`` of way, taken ``apart_m`` apart, as one cloud in the
