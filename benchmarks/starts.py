@@ -3,8 +3,8 @@ configuration.
 
     OMP_NUM_THREADS=1 python benchmarks/starts.py
 
-Each is started anew, the files being in the page cache; the SLAM process that ``run`` starts in vain
-is not counted as processor time. Median, and the longest.
+Each is started anew, the files being in the page cache. Median, and the longest. Processor time
+includes the SLAM process that ``run`` starts in vain.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _WRONG: Final = '[robot]\nnam = "amr7"\n'
 
 
 def _once(arguments: list[str]) -> tuple[float, float]:
-    """(s until it has ended, s of processor time of the process itself)."""
+    """(s until it has ended, s of processor time)."""
     begin = time.perf_counter()
     process = subprocess.Popen(
         [sys.executable, "-m", "amr_slam", *arguments],
@@ -38,6 +38,7 @@ def _once(arguments: list[str]) -> tuple[float, float]:
 
 
 def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=7)
     runs: int = parser.parse_args().runs
@@ -51,7 +52,8 @@ def main() -> None:
             _once(arguments)
             walls, used = zip(*(_once(arguments) for _ in range(runs)), strict=True)
             name = " ".join(arguments).replace(str(wrong), "WRONG")
-            figures = "  ".join(f"{statistics.median(x):5.2f} ({max(x):5.2f})" for x in (walls, used))
+            pairs = ((statistics.median(times), max(times)) for times in (walls, used))
+            figures = "  ".join(f"{median:5.2f} ({longest:5.2f})" for median, longest in pairs)
             print(f"{name:24s} {figures}")
 
 

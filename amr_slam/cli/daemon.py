@@ -6,14 +6,9 @@ import argparse
 from typing import Final
 
 from amr_slam.cli.outputs import UsageError, check_outputs
-from amr_slam.client import SessionError
 from amr_slam.config import ConfigError, load
 
-FAILURES: Final[dict[type[Exception], int]] = {
-    UsageError: 2,
-    ConfigError: 2,
-    SessionError: 1,
-}
+FAILURES: Final[dict[type[Exception], int]] = {UsageError: 2, ConfigError: 2}
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -25,6 +20,8 @@ def run(arguments: argparse.Namespace) -> int:
 
         return check(config, arguments.config, probe=arguments.probe)
     check_outputs(arguments.record, source=arguments.config)
+    from amr_slam.client import SessionError  # noqa: PLC0415
     from amr_slam.service import daemon  # noqa: PLC0415
 
+    FAILURES[SessionError] = 1
     return daemon.run(config, arguments.config, arguments.record, arguments.started)
