@@ -9,10 +9,10 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import numpy as np
 
+from amr_slam import states
 from amr_slam.areas import within
 from amr_slam.arrangement import View
 from amr_slam.changes import Change, compare
@@ -40,7 +40,7 @@ from amr_slam.registration.icp import Prior, points_alone
 from amr_slam.samples import Motion, SlamPose
 from amr_slam.slam import slam_absolute_rungs, slam_relative
 
-Mode = Literal["mapping", "localization"]
+Mode = states.Mode
 
 # Added to the prior's covariance: scan stamps, mounting and sweep are never exact.
 _SLACK = np.diag([0.02**2, 0.02**2, 0.01**2])

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import logging
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -30,8 +29,6 @@ from amr_slam.warming import warm_up
 
 _log = logging.getLogger(__name__)
 
-_NICENESS = 5
-"""The poses' process goes first where processors are few."""
 _OLD_VERSIONS = 2
 _MAX_PIXELS: Final = 4_000_000
 """Of a picture: a few hundred kilobytes as PNG, half a second to make."""
@@ -203,8 +200,6 @@ def serve(pipe: Connection, job: SlamJob) -> None:
 
     The first message is Ready or Refused; Saved may come at any time.
     """
-    with contextlib.suppress(PermissionError):  # a sandbox may forbid it
-        os.nice(_NICENESS)
     try:
         server = _Server(job)
     except MapError as error:

@@ -8,13 +8,19 @@ to the whole group, could take the map with it.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
+from typing import Final
+
+_NICENESS: Final = 5
+"""Where processors are few, the poses' process goes first, and before it what the daemon has to say
+of its configuration."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,8 +81,13 @@ def started() -> Iterator[Started]:
 
 
 def _serve(pipe: Connection) -> None:
-    from amr_slam.slam_process import serve  # noqa: PLC0415  # takes a second, meanwhile the parent goes on
+    with suppress(PermissionError):  # a sandbox may forbid it
+        os.nice(_NICENESS)
+    # They take a second, meanwhile the parent goes on.
+    from amr_slam import compiled  # noqa: PLC0415
+    from amr_slam.slam_process import serve  # noqa: PLC0415
 
+    compiled.load()
     try:
         job = pipe.recv()
     except (EOFError, ConnectionError):

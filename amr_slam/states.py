@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import enum
+from typing import Literal
+
+Mode = Literal["mapping", "localization"]
+"""Which of the two a robot does with its map."""
 
 
 class State(enum.StrEnum):

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from amr_slam.engine import SlamResult
 from amr_slam.evidence import Answer, Rung
 from amr_slam.fusion import Calibration, EasingParams
 from amr_slam.geometry import Array
 from amr_slam.hypotheses import TrackingParams
+
+if TYPE_CHECKING:  # the configuration needs the parameters, before anything that takes a while
+    from amr_slam.engine import SlamResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

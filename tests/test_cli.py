@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amr_slam import service
 from amr_slam.cli import fleet, main, progress
 from amr_slam.cli.arguments import MODULES
 from amr_slam.client import SessionError
+from amr_slam.config import Config
 from amr_slam.map import PointMap, load_map, save_map
 from amr_slam.params import SlamParams
 from amr_slam.recording import RecordingWriter, read_log, read_tum
 from amr_slam.samples import Scan, WheelSample
+from amr_slam.service import daemon, probe
 from amr_slam.simulation import (
     PathFollower,
     ScannerModel,
@@ -463,18 +464,20 @@ def test_run_and_check_hand_over_to_the_service(
 ) -> None:
     seen: list[object] = []
 
-    def run(config_path: Path, record: Path | None, started: Started) -> int:
+    def run(config: Config, config_path: Path, record: Path | None, started: Started) -> int:
+        assert config.robot.name
         assert started.slam is not None
         assert started.slam.process.is_alive()  # began its imports before us
         seen.extend((config_path, record))
         return 130
 
-    def check(config_path: Path, *, probe: bool) -> int:
+    def check(config: Config, config_path: Path, *, probe: bool) -> int:
+        assert config.robot.name
         seen.extend((config_path, probe))
         return 1
 
-    monkeypatch.setattr(service, "run", run)
-    monkeypatch.setattr(service, "check", check)
+    monkeypatch.setattr(daemon, "run", run)
+    monkeypatch.setattr(probe, "check", check)
     assert amr_slam("run", "--config", hall.config).status == 130
     record = tmp_path / "all.mcap"
     assert amr_slam("run", "--config", hall.config, "--record", record).status == 130

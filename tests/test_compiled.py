@@ -13,7 +13,7 @@ import pytest
 from labs import cloud_at, world_of
 
 from amr_slam import compiled
-from amr_slam.compiled import ENABLED, jit
+from amr_slam.compiled import ENABLED, Loop, jit
 from amr_slam.geometry import Pose2
 from amr_slam.map import MapParams, PointMap
 from amr_slam.params import SlamParams
@@ -21,7 +21,7 @@ from amr_slam.registration.icp import Prior
 from amr_slam.slam import Verdict, slam_absolute, slam_relative
 
 TESTS = Path(__file__).resolve().parent
-needs_numba = pytest.mark.skipif(compiled.numba is None, reason="numba is not installed")
+needs_numba = pytest.mark.skipif(not compiled.INSTALLED, reason="numba is not installed")
 
 WORLD = world_of(
     np.array(
@@ -99,7 +99,8 @@ def test_a_function_without_a_file_is_compiled_without_a_cache() -> None:
     assert callable(half)
     made = jit(half)
     assert made(3.0) == 1.5
-    assert hasattr(made, "signatures")  # it is compiled, not passed through
+    assert isinstance(made, Loop)
+    assert made.machine.signatures  # it is compiled, not passed through
 
 
 @needs_numba
@@ -113,7 +114,7 @@ def test_without_any_place_for_the_cache_it_compiles_all_the_same(tmp_path: Path
     nowhere = str(tmp_path / "no_folder" / "cache")
     printed = elsewhere(
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import lonely; "
-        "print(lonely.twice(4.0), len(lonely.twice.signatures))",
+        "print(lonely.twice(4.0), len(lonely.twice.machine.signatures))",
         NUMBA_CACHE_DIR=nowhere,
         XDG_CACHE_HOME=nowhere,
         HOME=nowhere,

@@ -12,7 +12,7 @@ import pytest
 from labs import cloud_at, lab, tour_poses
 
 from amr_slam import warming
-from amr_slam.compiled import ENABLED
+from amr_slam.compiled import ENABLED, Loop
 from amr_slam.engine import SlamEngine, SlamRequest
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
@@ -32,8 +32,8 @@ def signatures() -> dict[str, int]:
     for name, module in list(sys.modules.items()):
         if name.startswith(("amr_slam.registration", "amr_slam.map")):
             for key, value in vars(module).items():
-                if hasattr(value, "signatures") and hasattr(value, "py_func"):
-                    found[f"{name}.{key}"] = len(value.signatures)
+                if isinstance(value, Loop):
+                    found[f"{name}.{key}"] = len(value.machine.signatures)
     return found
 
 

@@ -12,7 +12,8 @@ from typing import Final
 
 from amr_drivers.decoding import with_decoded
 from amr_slam.cli.outputs import UsageError
-from amr_slam.config import Config, ConfigError, load, recorded_settings
+from amr_slam.config import Config, ConfigError, load
+from amr_slam.config.recorded import recorded_settings
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Mounting
 from amr_slam.map import MapError

@@ -13,7 +13,6 @@ from amr_slam.config.tree import (
     ServiceSettings,
     load,
     parse,
-    recorded_settings,
 )
 
 __all__ = [
@@ -29,5 +28,4 @@ __all__ = [
     "ServiceSettings",
     "load",
     "parse",
-    "recorded_settings",
 ]

@@ -96,7 +96,12 @@ class _Twin(BaseModel):
     """Base of the models made of dataclasses."""
 
     model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, protected_namespaces=()
+        extra="forbid",
+        frozen=True,
+        strict=True,
+        allow_inf_nan=False,
+        protected_namespaces=(),
+        defer_build=True,  # most are only parts of others, and then need no validator of their own
     )
     source: ClassVar[type]
 

@@ -19,22 +19,19 @@ from annotated_types import Ge, Gt, Interval, Len
 from pydantic import AfterValidator
 
 from amr_drivers import registry
-from amr_drivers.decoding import module_of
 from amr_slam.config.checking import ConfigError, checked, located, read_toml, shown
 from amr_slam.encodings.ros2 import Ros2Settings
 from amr_slam.encodings.vda5050 import Vda5050Settings
-from amr_slam.engine import Mode
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
 from amr_slam.living import AcceptPolicy
-from amr_slam.localizer import LocalizerParams
 from amr_slam.mounting import Mask, Mounting
 from amr_slam.odometry import Odometry, drive_kinds
 from amr_slam.params import Preset, SlamParams, preset
-from amr_slam.recording import RecordedDevice
-from amr_slam.recording.raw import settings_table
 from amr_slam.samples import WHEELS
 from amr_slam.shadow import ShadowSettings
+from amr_slam.states import Mode
+from amr_slam.trust import LocalizerParams
 from amr_slam.wire import ZenohSettings
 
 _T = TypeVar("_T")
@@ -267,14 +264,6 @@ def parse(table: Mapping[str, Any]) -> Config:
     )
     _cross_check(config)
     return config
-
-
-def recorded_settings(device: RecordedDevice) -> object:
-    """A recorded device's settings, checked as if they stood in a configuration.
-
-    Raises ConfigError with the path from the driver's options down, ValueError for no settings.
-    """
-    return checked(module_of(device).Settings, settings_table(device))
 
 
 def _cross_check(config: Config) -> None:

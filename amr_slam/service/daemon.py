@@ -19,7 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Final
 
-from amr_slam.config import Config, ConfigError, load
+from amr_slam.config import Config, ConfigError
 from amr_slam.engine import SlamRequest, SlamResult
 from amr_slam.localizer import Sample
 from amr_slam.publishing import RobotPublisher
@@ -58,7 +58,12 @@ _Item = Scan | DriveSample | DeviceEnded | FromWorker | Asked
 _FITTING: Final = frozenset({Outcome.ACCEPTED, Outcome.INFLATED, Outcome.RESET})
 
 
-def run(config_path: Path, record: Path | None = None, started: Started | None = None) -> int:
+def run(
+    config: Config,
+    config_path: Path,
+    record: Path | None = None,
+    started: Started | None = None,
+) -> int:
     """Localize until SIGTERM (0) or SIGINT (130); SIGUSR1 saves what was recorded last.
 
     ``record``: a file for all that is recorded, from the start. ``started``: a SLAM process from
@@ -66,7 +71,6 @@ def run(config_path: Path, record: Path | None = None, started: Started | None =
     cannot be written, and RuntimeError where a driver failed in a way that no driver may: systemd
     starts anew. A device that is missing is waited for.
     """
-    config = load(config_path)
     with ExitStack() as opened:  # whatever happens, what was opened is closed in reverse order
         daemon = startup(config, config_path, opened, record, started)
         exit_status = main_loop(daemon)

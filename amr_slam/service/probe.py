@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.config import Config, ConfigError, load
+from amr_slam.config import Config, ConfigError
 from amr_slam.map import MapError, load_map
 from amr_slam.odometry import joints_of
 from amr_slam.samples import DriveSample, JointSample, Link, OdometrySample, Scan, WheelSample
@@ -25,12 +25,12 @@ PROBE_S: Final = 5.0
 Received = Scan | DriveSample | DeviceEnded
 
 
-def check(config_path: Path, *, probe: bool) -> int:
-    """Validate, print a summary, and with ``probe`` what each device says within 5 s.
+def check(config: Config, config_path: Path, *, probe: bool) -> int:
+    """Print a summary, and with ``probe`` what each device says within 5 s.
 
-    0: all is well; 1: a device is not there or measures nothing. Raises ConfigError.
+    0: all is well; 1: a device is not there or measures nothing. Raises ConfigError
+    for a map that cannot be loaded.
     """
-    config = load(config_path)
     _print(_summary(config, config_path))
     return _probe(config) if probe else 0
 

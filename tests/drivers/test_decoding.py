@@ -23,12 +23,8 @@ from amr_drivers.emulators.slcan import EmulatedSlcan
 from amr_drivers.emulators.wheels import EmulatedWheels
 from amr_drivers.sick_s300 import driver as s300_driver
 from amr_slam.cli.wiring import _settings
-from amr_slam.config import (
-    MountingSettings,
-    OdometrySettings,
-    ScannerSettings,
-    recorded_settings,
-)
+from amr_slam.config import MountingSettings, OdometrySettings, ScannerSettings
+from amr_slam.config.recorded import recorded_settings
 from amr_slam.recording import Log, RecordedDevice, RecordingError, RecordingWriter, read_log
 from amr_slam.recording.values import About, Sample
 from amr_slam.samples import (
