@@ -21,7 +21,7 @@ from amr_slam.studies.fusion.simulated import (
     record,
     start_covariance,
 )
-from amr_slam.studies.fusion.trials import Trials, believed, trials
+from amr_slam.studies.fusion.trials import Trials, believed, joined, trials
 
 SHORT = Scenario(name="driving", duration_s=30.0)
 EXACT = WheelErrors(random_m2_per_m=0.0)
@@ -112,6 +112,28 @@ def test_an_honest_filter_reaches_the_share_that_honest_filters_reach() -> None:
         other = synthetic(rng, size)
         assert other.consistent < 0.8
         assert other.honest(rng)[0] == pytest.approx(low, abs=0.05)
+
+
+def test_a_mean_of_nees_is_as_sure_as_its_runs_are_many() -> None:
+    """The steps of a run that hardly changes are one witness: the mean of 100 such runs varies by
+    the root of 6 / 100, and 20 of them tell that."""
+    rng = np.random.default_rng(2)
+    found = [synthetic(rng, 1.0, kept=0.9999) for _ in range(20)]
+    every = np.ones_like(found[0].is_told)
+    means, sigmas = np.array([one.nees_of(every) for one in found]).T
+    assert 0.6 * np.sqrt(0.06) < means.std(ddof=1) < 1.4 * np.sqrt(0.06)
+    np.testing.assert_allclose(sigmas.mean(), np.sqrt(0.06), rtol=0.1)
+    together = joined(found)
+    np.testing.assert_allclose(together.nees_of(np.ones_like(together.is_told))[0], means.mean())
+
+
+def test_only_the_chosen_steps_count_in_a_mean_of_nees() -> None:
+    one = synthetic(np.random.default_rng(3), 1.0)
+    young = np.zeros_like(one.is_told)
+    young[:50, ::2] = True
+    mean, sigma = one.nees_of(young)
+    np.testing.assert_allclose(mean, one.nees[:50, ::2].mean())
+    assert 0.0 < sigma < 1.0
 
 
 def test_what_no_scan_can_have_told_is_parted_from_what_the_filter_should_know() -> None:
