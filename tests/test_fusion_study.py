@@ -94,7 +94,7 @@ def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trial
         covariances=np.zeros((100, 200, 3, 3)),
         whitened=size * np.stack(white, axis=1),
         error95_m=nothing[..., 0],
-        is_told=np.ones((100, 200), dtype=np.bool_),
+        since_slip=np.ones((100, 200), dtype=np.int64),
         age_s=np.zeros((100, 200)),
     )
 
@@ -102,10 +102,8 @@ def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trial
 def test_an_honest_filter_reaches_the_share_that_honest_filters_reach() -> None:
     rng = np.random.default_rng(0)
     honest = [synthetic(rng, 1.0) for _ in range(20)]
-    spans = [one.honest(rng) for one in honest]
-    within = [low <= one.consistent <= high for one, (low, high) in zip(honest, spans, strict=True)]
-    assert 15 <= sum(within) <= 20
-    low, high = spans[0]
+    low, high = honest[0].honest(rng)
+    assert 15 <= sum(low <= one.consistent <= high for one in honest) <= 20
     assert 0.85 < low < 0.94 < high < 1.0
     # Errors that are too large or too small by a tenth are found out, and what is asked stays.
     for size in (0.88, 1.12):
@@ -139,12 +137,12 @@ def test_only_the_chosen_steps_count_in_a_mean_of_nees() -> None:
 def test_what_no_scan_can_have_told_is_parted_from_what_the_filter_should_know() -> None:
     """A slip of one run in ten, unseen for a while, spoils the mean of all, not of the others."""
     one = synthetic(np.random.default_rng(1), 1.0)
-    whitened, is_told = one.whitened.copy(), one.is_told.copy()
+    whitened, since_slip = one.whitened.copy(), one.since_slip.copy()
     whitened[:10, 50:150] *= 10.0
-    is_told[:10, 50:150] = False
-    slipped = replace(one, whitened=whitened, is_told=is_told)
+    since_slip[:10, 50:150] = 0
+    slipped = replace(one, whitened=whitened, since_slip=since_slip)
     assert slipped.consistent < 0.55
-    assert abs(slipped.consistent_told - one.consistent) < 0.1
+    assert abs(slipped.consistent_of(slipped.is_told) - one.consistent) < 0.1
 
 
 def test_a_slip_is_untold_until_a_scan_of_after_it_has_come() -> None:
@@ -152,10 +150,9 @@ def test_a_slip_is_untold_until_a_scan_of_after_it_has_come() -> None:
     drive = record(slippery, WheelErrors(), np.random.default_rng(0))
     ((begin_ns, end_ns),) = drive.slips_ns
     told_ns = min(at_ns for at_ns, fix in drive.fixes if fix.stamp_ns >= end_ns)
-    assert not drive.has_untold_slip(begin_ns - 1)
-    assert drive.has_untold_slip(begin_ns)
-    assert drive.has_untold_slip(told_ns - 1)
-    assert not drive.has_untold_slip(told_ns)
+    assert drive.fixes_since_slip(begin_ns - 1) == len(drive.fixes)
+    assert drive.fixes_since_slip(begin_ns) == drive.fixes_since_slip(told_ns - 1) == 0
+    assert drive.fixes_since_slip(told_ns) == 1
 
 
 def test_wheels_are_drawn_within_what_can_be_learned() -> None:
