@@ -188,7 +188,7 @@ def _run(scenario: Scenario, params: FilterParams, seed: int, run: int) -> Trial
         age_s = 1e-9 * (one.stamp_ns - drive.newest_scan_ns(one.stamp_ns))
         error = off(one.map_from_base, truth)
         rows.append((error, one.covariance, white, one.error95_m, since_slip, age_s))
-    errors, covariances, whitened, claims, since_slip, ages = (
+    errors, covariances, whitened, claims, since, ages = (
         np.array(column)[None] for column in zip(*rows, strict=True)
     )
     return Trials(
@@ -196,7 +196,7 @@ def _run(scenario: Scenario, params: FilterParams, seed: int, run: int) -> Trial
         covariances=covariances,
         whitened=whitened,
         error95_m=claims,
-        since_slip=since_slip,
+        since_slip=since,
         age_s=ages,
     )
 
