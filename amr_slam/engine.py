@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from amr_slam import states
+from amr_slam.agreement import fused
 from amr_slam.areas import within
 from amr_slam.arrangement import View
 from amr_slam.changes import Change, compare
@@ -168,7 +169,8 @@ class SlamEngine:
         result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
         change = self._compare(cloud, climbed[0] if fix is None else answer)
         if believed and prior is not None and fix is not None and answer.best is not None:
-            self._watch(cloud, answer.best.pose, inverse_matrix(prior.information), fix)
+            pose = _placed(request, answer.rung, answer.best, fix)
+            self._watch(cloud, pose, inverse_matrix(prior.information), fix)
         counts = None if self.watcher is None else self.watcher.counts()
         return replace(result, change=change, inspection=inspection, moved=moved, changes=counts)
 
@@ -356,7 +358,7 @@ class SlamEngine:
         """What closing a loop has moved the newest pose by, if it has."""
         pose, covariance = None, request.covariance
         if believed and answer.best is not None and fix is not None and covariance is not None:
-            pose = answer.best.pose
+            pose = _placed(request, answer.rung, answer.best, fix)
             covariance = inverse_matrix(inverse_matrix(covariance) + inverse_matrix(fix.covariance))
         elif new:
             pose = request.map_from_base
@@ -435,6 +437,17 @@ def _compatible(fix: SlamPose, prior: Prior) -> bool:
     difference[2] = wrap_angle(float(difference[2]))
     spread = fix.covariance + inverse_matrix(prior.information)
     return float(difference @ inverse_matrix(spread) @ difference) <= _COMPATIBLE_D2
+
+
+def _placed(request: SlamRequest, rung: Rung, best: Hypothesis, fix: SlamPose) -> Pose2:
+    """Where an accepted scan was taken, by scan and wheels together.
+
+    A search knows nothing of the wheels: along a corridor any place will do for it.
+    """
+    if rung is Rung.RELATIVE or request.map_from_base is None or request.covariance is None:
+        return best.pose
+    expected, covariance = request.map_from_base, request.covariance
+    return fused(expected, covariance, fix.map_from_base, fix.covariance)[0]
 
 
 def _fix(

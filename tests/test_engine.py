@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -143,6 +144,28 @@ def test_new_territory_joins_the_map_where_the_wheels_say() -> None:
     assert (result.inserted, result.fix) == (True, None)
     assert result.answer.verdict is Verdict.UNKNOWN
     assert engine.map.path[-1][1] == elsewhere
+
+
+def test_a_place_that_a_search_found_along_a_corridor_joins_the_map_where_the_wheels_say() -> None:
+    """To a search, which knows nothing of the wheels, any place along the walls is as good: what
+    joins the map there, metres away, is where later scans will be found."""
+    engine, rng = mapping_engine(), np.random.default_rng(0)
+    for x in np.arange(-6.0, 0.1, 0.6):
+        pose = Pose2(float(x), 0.1, 0.0)
+        engine.update(request(cloud_at(corridor(), pose, rng, sigma_m=0.01), pose, START))
+    # Nothing is good enough near the expected pose, so that the search has the last word.
+    never = replace(PARAMS.relative, inliers=2.0)
+    rescue = replace(PARAMS.rescue, margin=0.0)
+    engine.params = replace(PARAMS, relative=never, settled=never, rescue=rescue)
+    truth, believed = Pose2(0.6, 0.1, 0.0), Pose2(0.61, 0.13, 0.01)
+    result = engine.update(request(cloud_at(corridor(), truth, rng, sigma_m=0.01), believed))
+    assert (result.answer.rung, result.inserted) == (Rung.RESCUE, True)
+    assert result.fix is not None
+    assert result.fix.map_from_base.distance_to(truth) > 1.0
+    joined = engine.map.path[-1][1]
+    assert abs(joined.x_m - believed.x_m) < 0.01
+    assert abs(joined.y_m - truth.y_m) < 0.005
+    assert abs(joined.theta_rad - truth.theta_rad) < 0.005
 
 
 def localizing(seed: int = 0) -> SlamEngine:

@@ -21,7 +21,7 @@ from amr_slam.studies.fusion.simulated import (
     record,
     start_covariance,
 )
-from amr_slam.studies.fusion.trials import Trials, believed, trials
+from amr_slam.studies.fusion.trials import Trials, believed, joined, trials
 
 SHORT = Scenario(name="driving", duration_s=30.0)
 EXACT = WheelErrors(random_m2_per_m=0.0)
@@ -94,7 +94,7 @@ def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trial
         covariances=np.zeros((100, 200, 3, 3)),
         whitened=size * np.stack(white, axis=1),
         error95_m=nothing[..., 0],
-        is_told=np.ones((100, 200), dtype=np.bool_),
+        since_slip=np.ones((100, 200), dtype=np.int64),
         age_s=np.zeros((100, 200)),
     )
 
@@ -102,10 +102,8 @@ def synthetic(rng: np.random.Generator, size: float, kept: float = 0.9) -> Trial
 def test_an_honest_filter_reaches_the_share_that_honest_filters_reach() -> None:
     rng = np.random.default_rng(0)
     honest = [synthetic(rng, 1.0) for _ in range(20)]
-    spans = [one.honest(rng) for one in honest]
-    within = [low <= one.consistent <= high for one, (low, high) in zip(honest, spans, strict=True)]
-    assert 15 <= sum(within) <= 20
-    low, high = spans[0]
+    low, high = honest[0].honest(rng)
+    assert 15 <= sum(low <= one.consistent <= high for one in honest) <= 20
     assert 0.85 < low < 0.94 < high < 1.0
     # Errors that are too large or too small by a tenth are found out, and what is asked stays.
     for size in (0.88, 1.12):
@@ -114,15 +112,37 @@ def test_an_honest_filter_reaches_the_share_that_honest_filters_reach() -> None:
         assert other.honest(rng)[0] == pytest.approx(low, abs=0.05)
 
 
+def test_a_mean_of_nees_is_as_sure_as_its_runs_are_many() -> None:
+    """The steps of a run that hardly changes are one witness: the mean of 100 such runs varies by
+    the root of 6 / 100, and 20 of them tell that."""
+    rng = np.random.default_rng(2)
+    found = [synthetic(rng, 1.0, kept=0.9999) for _ in range(20)]
+    every = np.ones_like(found[0].is_told)
+    means, sigmas = np.array([one.nees_of(every) for one in found]).T
+    assert 0.6 * np.sqrt(0.06) < means.std(ddof=1) < 1.4 * np.sqrt(0.06)
+    np.testing.assert_allclose(sigmas.mean(), np.sqrt(0.06), rtol=0.1)
+    together = joined(found)
+    np.testing.assert_allclose(together.nees_of(np.ones_like(together.is_told))[0], means.mean())
+
+
+def test_only_the_chosen_steps_count_in_a_mean_of_nees() -> None:
+    one = synthetic(np.random.default_rng(3), 1.0)
+    young = np.zeros_like(one.is_told)
+    young[:50, ::2] = True
+    mean, sigma = one.nees_of(young)
+    np.testing.assert_allclose(mean, one.nees[:50, ::2].mean())
+    assert 0.0 < sigma < 1.0
+
+
 def test_what_no_scan_can_have_told_is_parted_from_what_the_filter_should_know() -> None:
     """A slip of one run in ten, unseen for a while, spoils the mean of all, not of the others."""
     one = synthetic(np.random.default_rng(1), 1.0)
-    whitened, is_told = one.whitened.copy(), one.is_told.copy()
+    whitened, since_slip = one.whitened.copy(), one.since_slip.copy()
     whitened[:10, 50:150] *= 10.0
-    is_told[:10, 50:150] = False
-    slipped = replace(one, whitened=whitened, is_told=is_told)
+    since_slip[:10, 50:150] = 0
+    slipped = replace(one, whitened=whitened, since_slip=since_slip)
     assert slipped.consistent < 0.55
-    assert abs(slipped.consistent_told - one.consistent) < 0.1
+    assert abs(slipped.consistent_of(slipped.is_told) - one.consistent) < 0.1
 
 
 def test_a_slip_is_untold_until_a_scan_of_after_it_has_come() -> None:
@@ -130,10 +150,9 @@ def test_a_slip_is_untold_until_a_scan_of_after_it_has_come() -> None:
     drive = record(slippery, WheelErrors(), np.random.default_rng(0))
     ((begin_ns, end_ns),) = drive.slips_ns
     told_ns = min(at_ns for at_ns, fix in drive.fixes if fix.stamp_ns >= end_ns)
-    assert not drive.has_untold_slip(begin_ns - 1)
-    assert drive.has_untold_slip(begin_ns)
-    assert drive.has_untold_slip(told_ns - 1)
-    assert not drive.has_untold_slip(told_ns)
+    assert drive.fixes_since_slip(begin_ns - 1) == len(drive.fixes)
+    assert drive.fixes_since_slip(begin_ns) == drive.fixes_since_slip(told_ns - 1) == 0
+    assert drive.fixes_since_slip(told_ns) == 1
 
 
 def test_wheels_are_drawn_within_what_can_be_learned() -> None:

@@ -2,43 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from amr_slam.engine import Mode, SlamEngine, SlamResult
 from amr_slam.evaluation import ErrorSummary, align_se2, poses_at
-from amr_slam.fusion import Calibration, FilterParams
-from amr_slam.geometry import Array, Pose2
-from amr_slam.localizer import Localizer, LocalizerParams, Mounting
-from amr_slam.map import PointMap
-from amr_slam.odometry import PoseOdometry
-from amr_slam.params import SlamParams
-from amr_slam.recording import Log, Sample, Trajectory, read_log, read_tum
-from amr_slam.replay import thin_scans
-from amr_slam.samples import OdometrySample, Scan, SlamPose, State
-from amr_slam.studies.fusion.methods import (
-    HELD,
-    METHODS,
-    PRODUCT,
-    UNDELAYED,
-    WHEELS,
-    held,
-    undelayed,
-    wheels_alone,
-)
-from amr_slam.studies.real_passes import Recording
+from amr_slam.fusion import Calibration
+from amr_slam.geometry import Array
+from amr_slam.recording import Trajectory, read_log, read_tum
+from amr_slam.studies.fusion.methods import METHODS, PRODUCT
+from amr_slam.studies.fusion.recorded_drives import Drive, from_scratch, in_known_map
 from amr_slam.studies.report import Effort, Section, Table
 from amr_slam.studies.trials import percent
 
 LOGS: Final = ("mit_csail", "intel")
-_SCAN_PERIOD_S: Final = 2.0
-_DELAY_NS: Final = 500_000_000
 _WINDOW_NS: Final = 20_000_000_000
 _GAP_S: Final = 2.0
 # As near to a used scan, a reference tells nothing about the time between scans.
@@ -46,13 +25,14 @@ _USED_NS: Final = 50_000_000
 _LEAST: Final = 5
 # No robot of these logs drives faster; their computers stamped late scans in bursts.
 _FASTEST_MPS: Final = 3.0
+_WORST: Final = (0.01, 0.05)
 _REFERENCE_M: Final = 0.05
 """What the reference itself may be wrong by."""
 
 
 def study(effort: Effort, logs: Path) -> Section:
     """Each log thinned to a scan every 2 s; fixes are used half a second after their scan."""
-    known, claims, scratch, learned = [], [], [], []
+    known, claims, scratch, spread, learned = [], [], [], [], []
     for name in LOGS:
         log, reference = read_log(logs / f"{name}.log.gz"), read_tum(logs / f"{name}.corrected.tum")
         drive = in_known_map(name, log, reference)
@@ -66,7 +46,10 @@ def study(effort: Effort, logs: Path) -> Section:
         drive = from_scratch(log)
         errors = {m: local_errors_m(drive.paths[m], reference) for m in METHODS}
         scratch.append(_row(name, errors, drive, reference))
-        effort.progress("from scratch: " + " | ".join(scratch[-1]))
+        counted = errors[PRODUCT][_skipped(drive, reference)]
+        far = _far_from_loops(drive, reference)[_skipped(drive, reference)]
+        spread.append((name, *_spread(counted), *_without_loops(counted, far)))
+        effort.progress("from scratch: " + " | ".join((*scratch[-1], *spread[-1])))
     columns = ("log", "references", *METHODS)
     return Section(
         title="Recordings",
@@ -99,89 +82,18 @@ def study(effort: Effort, logs: Path) -> Section:
                 columns=columns,
                 rows=tuple(scratch),
             ),
+            Table(
+                title="There, which references make this product's mean squared error",
+                columns=(
+                    "log",
+                    *(f"the worst {100.0 * share:g} %" for share in _WORST),
+                    "rms error m of the others",
+                    "references with no loop within 20 s",
+                    "their rms error m",
+                ),
+                rows=tuple(spread),
+            ),
         ),
-    )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Drive:
-    """What a robot made of a recording."""
-
-    paths: dict[str, Trajectory]
-    """Of each method: the pose at each wheel sample, as known then."""
-    used_ns: NDArray[np.int64]
-    """Stamps of the scans that were not skipped."""
-    claimed_m: Array
-    """error95_m at each wheel sample; NaN where the product did not call itself localized."""
-    learned: Calibration
-
-
-def in_known_map(name: str, log: Log, reference: Trajectory) -> Drive:
-    """Localized from the first reference pose on, in a map of all scans at theirs."""
-    params = SlamParams()
-    known = PointMap(params.map)
-    for visit in Recording.of(name, log, reference, params.clouds).visits:
-        known.insert(visit.cloud, visit.pose)
-    samples = [one for one in log.samples if one.stamp_ns >= reference.stamps_ns[0]]
-    start = reference.pose(0), np.diag([0.05**2, 0.05**2, 0.01**2])
-    return _drive(samples, SlamEngine(params, known, "localization"), "localization", start)
-
-
-def from_scratch(log: Log) -> Drive:
-    """Mapping as it goes, from the origin on."""
-    params = SlamParams()
-    start = Pose2.identity(), np.diag([1e-4, 1e-4, 1e-5])
-    engine = SlamEngine(params, PointMap(params.map), "mapping")
-    return _drive(log.samples, engine, "mapping", start)
-
-
-def _drive(
-    samples: Iterable[Sample], engine: SlamEngine, mode: Mode, start: tuple[Pose2, Array]
-) -> Drive:
-    thinned, odometry = list(thin_scans(samples, _SCAN_PERIOD_S)), PoseOdometry()
-    scans = [sample for sample in thinned if isinstance(sample, Scan)]
-    mountings = {one.scanner: Mounting(base_from_lidar=Pose2.identity()) for one in scans}
-    robot = Localizer(
-        LocalizerParams(), FilterParams(), SlamParams().clouds, odometry, mountings, mode, start
-    )
-    wheels: list[OdometrySample] = []
-    product: list[Pose2] = []
-    claimed_m: list[float] = []
-    fixes: list[tuple[int, SlamPose]] = []
-    waiting: list[tuple[int, SlamResult]] = []
-    for sample in thinned:
-        while waiting and waiting[0][0] <= sample.stamp_ns:
-            robot.handle(waiting.pop(0)[1])
-        robot.handle(sample)
-        if isinstance(sample, OdometrySample):
-            estimate = robot.estimate(sample.stamp_ns)
-            if estimate is not None and (not wheels or sample.stamp_ns > wheels[-1].stamp_ns):
-                wheels.append(sample)
-                product.append(estimate.map_from_base)
-                good = estimate.state in {State.LOCALIZED, State.MAPPING}
-                claimed_m.append(estimate.error95_m if good else math.nan)
-        request = robot.take_request()
-        if request is not None:
-            result = engine.update(request)
-            arrives_ns = result.stamp_ns + _DELAY_NS
-            waiting.append((arrives_ns, result))
-            fixes += [] if result.fix is None else [(arrives_ns, result.fix)]
-    paths: dict[str, Sequence[Pose2]] = {
-        PRODUCT: product,
-        WHEELS: list(wheels_alone(wheels, odometry, start[0])),
-        HELD: list(held(wheels, fixes, start[0])),
-        UNDELAYED: list(undelayed(wheels, fixes, odometry, *start)),
-    }
-    stamps = np.array([sample.stamp_ns for sample in wheels], dtype=np.int64)
-    assert robot.filter is not None
-    return Drive(
-        paths={
-            name: Trajectory(stamps_ns=stamps, poses=np.array([p.as_array() for p in path]))
-            for name, path in paths.items()
-        },
-        used_ns=np.array([scan.stamp_ns for scan in scans], dtype=np.int64),
-        claimed_m=np.array(claimed_m),
-        learned=robot.filter.calibration,
     )
 
 
@@ -250,6 +162,28 @@ def _summary(errors: Array) -> str:
     return f"{one.median:.3f} / {one.rms:.3f} / {one.p95:.3f}"
 
 
+def _spread(errors_m: Array) -> tuple[str, ...]:
+    """Which part of the squared error the worst references hold, and the rms without them."""
+    squares = np.sort(np.square(errors_m[np.isfinite(errors_m)]))[::-1]
+    counts = [round(share * len(squares)) for share in _WORST]
+    parts = [float(squares[:count].sum() / squares.sum()) for count in counts]
+    others = float(np.sqrt(squares[counts[-1] :].mean()))
+    return (*(f"{100.0 * part:.0f} %" for part in parts), f"{others:.3f}")
+
+
+def _far_from_loops(drive: Drive, reference: Trajectory) -> NDArray[np.bool_]:
+    """(n,) which references are aligned within 20 s in which no loop has moved the map."""
+    after = np.searchsorted(drive.loops_ns, reference.stamps_ns - _WINDOW_NS)
+    before = np.searchsorted(drive.loops_ns, reference.stamps_ns + _WINDOW_NS, side="right")
+    return np.asarray(after == before)
+
+
+def _without_loops(errors_m: Array, far: NDArray[np.bool_]) -> tuple[str, str]:
+    known = np.isfinite(errors_m)
+    rms_m = float(np.sqrt(np.mean(np.square(errors_m[known & far]))))
+    return percent(int((known & far).sum()), int(known.sum())), f"{rms_m:.3f}"
+
+
 def _learned(name: str, known: Calibration) -> tuple[str, ...]:
     return (
         name,
@@ -271,4 +205,6 @@ the reference itself has errors of 3 to 5 cm, and wheel stamps of these logs are
 Then mapping from scratch, whose frame drifts: each reference pose is compared after aligning the
 20 s before and after it. That figure holds corrections as they enter (online, each is a step of the
 path) and the map's bending within 40 s, which wheels alone do not have; it is no measure of the
-fusion alone."""
+fusion alone: where a loop is closed, the pose moves by what the map was wrong, and references
+before and after it fit no common frame. Where few references make most of it, something went wrong
+there: so [adr/0042](adr/0042-where-a-scan-joins-the-map.md) was found."""

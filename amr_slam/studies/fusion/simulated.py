@@ -86,10 +86,12 @@ class Recording:
         """Stamp of the newest scan whose fix has come by an instant; 0 before the first."""
         return max((fix.stamp_ns for at_ns, fix in self.fixes if at_ns <= stamp_ns), default=0)
 
-    def has_untold_slip(self, stamp_ns: int) -> bool:
-        """Whether wheels have slipped by an instant and no scan of the time after has come yet."""
-        newest_ns = self.newest_scan_ns(stamp_ns)
-        return any(begin <= stamp_ns and newest_ns < end for begin, end in self.slips_ns)
+    def fixes_since_slip(self, stamp_ns: int) -> int:
+        """How many fixes of scans after the last slip have come by an instant; 0: of that slip
+        nobody can know all. All fixes of the drive before the first slip."""
+        come = [fix.stamp_ns for at_ns, fix in self.fixes if at_ns <= stamp_ns]
+        ends = [end for begin, end in self.slips_ns if begin <= stamp_ns]
+        return min((sum(one >= end for one in come) for end in ends), default=len(self.fixes))
 
 
 def record(

@@ -38,11 +38,17 @@ class Trials:
     twist in units of what the covariance claims: white and of variance 1 where that is true."""
     error95_m: Array
     """(runs, steps)"""
-    is_told: NDArray[np.bool_]
-    """(runs, steps) whether all that the wheels have missed so far is in a scan that has come: of a
-    slip before that nobody can know."""
+    since_slip: NDArray[np.int64]
+    """(runs, steps) fixes of scans after the last slip that have come; 0: of a slip before that
+    nobody can know."""
     age_s: Array
     """(runs, steps) since the newest scan whose fix has come, or since the given pose."""
+
+    @property
+    def is_told(self) -> NDArray[np.bool_]:
+        """(runs, steps) whether all that the wheels have missed so far is in a scan that has
+        come."""
+        return self.since_slip > 0
 
     @property
     def nees(self) -> Array:
@@ -87,27 +93,30 @@ class Trials:
     @property
     def consistent(self) -> float:
         """Share of the steps at which the mean NEES over the runs lies in its band."""
-        return _inside(self.whitened, np.ones_like(self.is_told))
+        return self.consistent_of(np.ones_like(self.is_told))
 
-    @property
-    def consistent_told(self) -> float:
-        """The same over those runs that are told of all their slips at that step."""
-        return _inside(self.whitened, self.is_told)
+    def consistent_of(self, chosen: NDArray[np.bool_]) -> float:
+        """The same over those runs alone that are chosen (runs, steps) at that step."""
+        return _inside(self.whitened, chosen)
 
-    def honest(self, rng: np.random.Generator, *, told: bool = False) -> tuple[float, float]:
+    def honest(
+        self, rng: np.random.Generator, chosen: NDArray[np.bool_] | None = None
+    ) -> tuple[float, float]:
         """Between these lie 90 % of the shares that filters of true covariance reach with so many
-        runs. ``told``: as :attr:`consistent_told`."""
-        low, high = np.quantile(self.honest_shares(rng, told=told), (0.05, 0.95))
+        runs. ``chosen``: as in :meth:`consistent_of`."""
+        low, high = np.quantile(self.honest_shares(rng, chosen), (0.05, 0.95))
         return float(low), float(high)
 
-    def honest_shares(self, rng: np.random.Generator, *, told: bool = False) -> Array:
+    def honest_shares(
+        self, rng: np.random.Generator, chosen: NDArray[np.bool_] | None = None
+    ) -> Array:
         """(n,) shares that filters of true covariance reach with so many runs, their errors
         correlated in time as these are.
 
         Drawn: Gaussian mixtures of the runs at hand, made white at every step.
         """
         runs = len(self.whitened)
-        whitened = self.whitened * self.is_told[..., None] if told else self.whitened
+        whitened = self.whitened if chosen is None else self.whitened * chosen[..., None]
         spread = np.einsum("rti,rtj->tij", whitened, whitened) / runs
         to_white = np.linalg.inv(np.linalg.cholesky(spread))
         white = np.einsum("tij,rtj->rti", to_white, whitened) / np.sqrt(runs)
@@ -156,7 +165,7 @@ def joined(parts: Sequence[Trials]) -> Trials:
         covariances=np.concatenate([one.covariances for one in parts]),
         whitened=np.concatenate([one.whitened for one in parts]),
         error95_m=np.concatenate([one.error95_m for one in parts]),
-        is_told=np.concatenate([one.is_told for one in parts]),
+        since_slip=np.concatenate([one.since_slip for one in parts]),
         age_s=np.concatenate([one.age_s for one in parts]),
     )
 
@@ -175,11 +184,11 @@ def _run(scenario: Scenario, params: FilterParams, seed: int, run: int) -> Trial
         assert robot.filter is not None
         own, covariance = robot.filter.map_from_base, robot.filter.covariance
         white = np.linalg.solve(np.linalg.cholesky(covariance), twist_off(own, truth))
-        is_told = not drive.has_untold_slip(one.stamp_ns)
+        since_slip = drive.fixes_since_slip(one.stamp_ns)
         age_s = 1e-9 * (one.stamp_ns - drive.newest_scan_ns(one.stamp_ns))
         error = off(one.map_from_base, truth)
-        rows.append((error, one.covariance, white, one.error95_m, is_told, age_s))
-    errors, covariances, whitened, claims, told, ages = (
+        rows.append((error, one.covariance, white, one.error95_m, since_slip, age_s))
+    errors, covariances, whitened, claims, since, ages = (
         np.array(column)[None] for column in zip(*rows, strict=True)
     )
     return Trials(
@@ -187,7 +196,7 @@ def _run(scenario: Scenario, params: FilterParams, seed: int, run: int) -> Trial
         covariances=covariances,
         whitened=whitened,
         error95_m=claims,
-        is_told=told,
+        since_slip=since,
         age_s=ages,
     )
 
