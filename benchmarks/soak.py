@@ -2,9 +2,11 @@
 
 The demo's robot drives a circle (wheels at 50 Hz over CAN frames, two scanners at 0.5 Hz); the
 daemon has mapped the laboratory and is started anew in that map. Both processes are looked at each
-five seconds; the memory's slope is a straight line through what they hold alone (USS) once the
-recording's ring is full. Period: between a pose's arrival here and that of the one before it, and
-between the instants for which they say they are true, with what they say of their age.
+five seconds; the memory's slope is a straight line through the least of each minute that they hold
+alone (USS; a look in the middle of a search finds 2 MB more), once the recording's ring is full.
+Period: between a pose's arrival here and that of the one before it, between the instants at which
+they were made, and between the wheel frames that they were made of: as even as the emulated robot
+sends them, and the wheels' driver notes them.
 Example: python benchmarks/soak.py --minutes 30
 """
 
@@ -28,6 +30,7 @@ import psutil  # type: ignore[import-untyped]  # comes without types
 
 from amr_drivers.emulators.robot import RobotModel, RobotProcess
 from amr_slam.client import FleetListener
+from amr_slam.geometry import Array
 from amr_slam.trial import DaemonProcess, TrialError, adapted_config
 from amr_slam.wire import PoseMessage
 
@@ -44,7 +47,8 @@ class Poses:
 
     listener: FleetListener | None = None
     arrived_s: list[float] = field(default_factory=list)
-    true_s: list[float] = field(default_factory=list)
+    made_s: list[float] = field(default_factory=list)
+    wheels_s: list[float] = field(default_factory=list)
     states: dict[str, int] = field(default_factory=dict)
     _seq: int = -1
 
@@ -55,7 +59,8 @@ class Poses:
             return
         self._seq = pose.seq
         self.arrived_s.append(time.monotonic())
-        self.true_s.append(pose.stamp + pose.age_s)
+        self.made_s.append(pose.stamp + pose.age_s)
+        self.wheels_s.append(pose.stamp)
         self.states[pose.state.value] = self.states.get(pose.state.value, 0) + 1
 
 
@@ -141,7 +146,7 @@ def tell(poses: Poses, looks: Looks, warm_up_min: float) -> None:
     print("|---|--:|--:|--:|--:|")
     for name, k in (("daemon", 1), ("SLAM process", 4)):
         memory, descriptors, used = rows[warm, k], rows[warm, k + 1], rows[warm, k + 2]
-        slope = np.polyfit(minutes[warm] / 60.0, memory, 1)[0]
+        slope = np.polyfit(*least(minutes[warm], memory), 1)[0]
         share = (used[-1] - used[0]) / (60.0 * np.ptp(minutes[warm]))
         print(f"| {name} | {memory[-1]:.1f} | {slope:+.2f} | {descriptors.min():.0f}, "
               f"{descriptors.max():.0f} | {100 * share:.1f} % |")  # fmt: skip
@@ -149,13 +154,24 @@ def tell(poses: Poses, looks: Looks, warm_up_min: float) -> None:
     steps = (f"{minutes[k]:.0f} min {rows[k, 1]:.1f} and {rows[k, 4]:.1f}" for k in at)
     print(f"\nMemory MB of daemon and SLAM process: {'; '.join(steps)}")
     print("\n| poses' period ms | median | p99 | max |\n|---|--:|--:|--:|")
-    for name, times in (("when they came", poses.arrived_s), ("when they were made", poses.true_s)):
+    for name, times in (
+        ("when they came", poses.arrived_s),
+        ("when they were made", poses.made_s),
+        ("their wheel frames", poses.wheels_s),
+    ):
         gaps = 1e3 * np.diff(times)
         median, p99 = np.quantile(gaps, (0.5, 0.99))
         print(f"| {name} | {median:.1f} | {p99:.1f} | {gaps.max():.1f} |")
     total = sum(poses.states.values())
     shares = (f"{state} {100 * count / total:.2f} %" for state, count in poses.states.items())
     print(f"\n{total} poses: {', '.join(shares)}")
+
+
+def least(minutes: Array, memory_mb: Array) -> tuple[Array, Array]:
+    """Whole minutes in h, and the least of each in MB."""
+    whole = np.floor(minutes)
+    known = np.unique(whole)
+    return known / 60.0, np.array([memory_mb[whole == minute].min() for minute in known])
 
 
 def until(listener: FleetListener, condition: Callable[[PoseMessage], bool]) -> None:

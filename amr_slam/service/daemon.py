@@ -10,6 +10,7 @@ import gc
 import logging
 import queue
 import signal
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -49,6 +50,9 @@ _log = logging.getLogger(__name__)
 # Together below the 5 s in which a stop has to be done.
 _SAVE_LIMIT_S: Final = 3.5
 _CLOSE_LIMIT_S: Final = 1.0
+_SWITCH_S: Final = 0.0005
+"""After so long a thread that decodes or records hands the interpreter to who waits; Python's own
+5 ms are a quarter of the time between two poses."""
 _RING_SHARE: Final = 0.1
 """Of a ring, that may lie before its first snapshot ..."""
 _RING_S: Final = 600.0
@@ -71,6 +75,7 @@ def run(
     cannot be written, and RuntimeError where a driver failed in a way that no driver may: systemd
     starts anew. A device that is missing is waited for.
     """
+    sys.setswitchinterval(_SWITCH_S)
     with ExitStack() as opened:  # whatever happens, what was opened is closed in reverse order
         daemon = startup(config, config_path, opened, record, started)
         exit_status = main_loop(daemon)

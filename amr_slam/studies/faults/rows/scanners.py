@@ -218,6 +218,7 @@ SCANNERS: Final = (
         sign="fault: front stale", within_scans=5,
         stays=frozenset({State.LOCALIZED, State.ODOMETRY_ONLY}),
         says=either(fault_says("front stale"), fault_says("front scanner missing")),
+        back_s=10.0,  # so long the line is held to be damaged, after the last late telegram
     ),
     Row(
         number="31", fault="no finite range in any scan", inject=_no_numbers,
