@@ -24,6 +24,10 @@ _STRAINED_D2: Final = 2.4
 """Loops that are off by less, as half of all by chance, may wait"""
 _MOST_WAITING: Final = 12
 """until there are so many: then all poses are found anew."""
+_URGENT_D2: Final = 16.27
+"""A loop that is off by more than chance makes it waits for nothing. The others wait, too,"""
+_PATIENCE: Final = 300
+"""until the chart has grown by this part of it: however large it is, a scan costs the same."""
 
 
 class Chart:
@@ -37,6 +41,7 @@ class Chart:
         self._ties = Ties(params.closing.drift_model)
         self._sought_m = -np.inf
         self._waiting = 0  # loops that the poses do not know yet
+        self._relaxed = 0  # nodes that there were when poses were found anew last
         self.edges: list[Edge] = []
         """Steps of the way, and loops."""
         self._ways_m: list[float] = []
@@ -119,8 +124,10 @@ class Chart:
             return None
         self._tie(found)
         self._waiting += len(found)
-        strained = float(strains(self.poses, found).max()) > _STRAINED_D2
-        return self._relax() if strained or self._waiting > _MOST_WAITING else None
+        strain = float(strains(self.poses, found).max())
+        wanted = strain > _STRAINED_D2 or self._waiting > _MOST_WAITING
+        grown = row - self._relaxed >= row // _PATIENCE
+        return self._relax() if strain > _URGENT_D2 or (wanted and grown) else None
 
     def _tie(self, edges: list[Edge]) -> None:
         self.edges += edges
@@ -131,7 +138,7 @@ class Chart:
         by, if it is worth an announcement."""
         before = self.newest
         self.poses = optimize(self.poses, self.edges, self._waiting)
-        self._waiting, self.moved = 0, True
+        self._waiting, self._relaxed, self.moved = 0, len(self.poses), True
         moved = self.newest @ before.inverse()
         if self.newest.distance_to(before) < _MOVED_M and abs(moved.theta_rad) < _MOVED_RAD:
             return None

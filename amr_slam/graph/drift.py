@@ -104,7 +104,7 @@ class Ties:
         """All pairs of nodes that are tied, as ascending numbers, and of each pair the tie that
         leads astray least."""
         pairs = np.array(self._starts, dtype=np.int64) * count + self._ends
-        order = np.lexsort((self._astray_m, pairs))
+        order = np.lexsort((np.array(self._astray_m), pairs))
         pairs, first = np.unique(pairs[order], return_index=True)
         return pairs, order[first]
 
