@@ -48,6 +48,8 @@ _SLACK = np.diag([0.02**2, 0.02**2, 0.01**2])
 # Largest covariance that a fix may carry (m2, m2, rad2): "nothing known" in numbers.
 _FIX_LIMIT = 1e4
 _COMPATIBLE_D2 = 30.67
+# Chance that the wheels mislead even about how much they may: they never say more than that.
+_WHEELS_LIE = 1e-3
 # What walls that lie off by a metre do to a pose: rooms are some metres wide, so they turn it less.
 _BY_MAP_ERROR = np.diag([1.0, 1.0, 1.0 / 3.0**2])
 
@@ -153,7 +155,7 @@ class SlamEngine:
         if zone is not None:
             return self._blind(cloud.stamp_ns, zone)
         climbed = tuple(self._climb(request, prior, vague=vague))
-        answer = self._choose(climbed, vague=vague)
+        answer = self._choose(climbed, prior, vague=vague)
         inspection = self._inspect(request, answer)
         wrong = inspection.looks is Looks.WRONG
         fix = None
@@ -276,20 +278,20 @@ class SlamEngine:
                 return
             begun_s = ended_s
 
-    def _choose(self, climbed: Sequence[Answer], *, vague: bool) -> Answer:
+    def _choose(self, climbed: Sequence[Answer], prior: Prior | None, *, vague: bool) -> Answer:
         last = climbed[-1]
         if not vague and self._ends(last):
             return last
         # A poor fit near the expected pose counts once the search around found nothing better.
         accepted = [answer for answer in climbed if answer.verdict is Verdict.ACCEPTED]
-        answer = max(accepted, key=_score, default=last)
+        answer = max(accepted, key=lambda one: self._worth(one.best, prior), default=last)
         best = answer.best
         if best is None or not accepted or self.mode == "localization":
             return answer
         # ... "Nothing" includes what no rung would accept: a map never forgets a wrong pose.
         places = [place for one in climbed for place in one.places]
-        others = [place.score for place in places if apart(place.pose, best.pose)]
-        margin = best.score - max(others, default=-math.inf)
+        others = [self._worth(place, prior) for place in places if apart(place.pose, best.pose)]
+        margin = self._worth(best, prior) - max(others, default=-math.inf)
         if margin >= self._lead(answer, vague=vague):
             return answer
         return replace(
@@ -299,11 +301,22 @@ class SlamEngine:
             reason=f"another rung's place fits about as well (margin {margin:.2f})",
         )
 
+    def _worth(self, place: Hypothesis | None, prior: Prior | None) -> float:
+        """What speaks for a place: its score and, while mapping, what the wheels say of it. Where
+        the robot leaves what the map knows, the way back fits better than the way ahead."""
+        if place is None:
+            return -math.inf
+        if prior is None or self.mode == "localization":
+            return place.score
+        off = place.pose.as_array() - prior.target_from_source.as_array()
+        off[2] = wrap_angle(float(off[2]))
+        against = min(0.5 * float(off @ prior.information @ off), -math.log(_WHEELS_LIE))
+        return place.score - against / self.params.plausibility.margin
+
     def _lead(self, answer: Answer, *, vague: bool) -> float:
-        """Least lead in score that the chosen place needs over all that any rung found."""
+        """Least lead in worth that the chosen place needs over all that any rung found."""
         if vague or answer.rung is not Rung.RELATIVE:
             return self.params.rescue.margin
-        # The wheels speak for it.
         return -self.params.rescue.margin
 
     def _ends(self, answer: Answer) -> bool:
@@ -408,10 +421,6 @@ class SlamEngine:
             map_error_m=self.map.error_m,
             map_scans=len(self.map.path),
         )
-
-
-def _score(answer: Answer) -> float:
-    return answer.best.score if answer.best is not None else -math.inf
 
 
 def _prior(request: SlamRequest) -> Prior | None:

@@ -69,9 +69,6 @@ class DriftParams:
     """Of the way: corridors have no marks, wheels measure them a little long or short."""
     place_m: Annotated[float, Gt(0.0)] = 0.3
     """And this much in any case."""
-    shared_m: Annotated[float, Gt(0.0)] = 15.0
-    """A step is known as well as any, if its heading is known better than after so much way: scans
-    that are registered in the same piece do not add up what they do not know."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ from labs import (
     lab,
     mapped_lab,
     plain_cloud,
+    room,
     tour_poses,
 )
 
@@ -236,6 +237,27 @@ def test_a_fix_in_a_corridor_says_what_it_does_not_know(sigma: float) -> None:
         assert fix.covariance[1, 1] < 0.03**2 < 0.06**2 < fix.covariance[0, 0]
         wrong = fix.map_from_base.as_array() - truth.as_array()
         assert wrong @ inverse_matrix(fix.covariance) @ wrong < 16.3
+
+
+@pytest.mark.parametrize(("sigma_deg", "finds"), [(45.0, True), (130.0, False)])
+@pytest.mark.parametrize("off_deg", [4.0, 176.0])
+def test_wheels_that_slip_still_say_which_of_two_headings_is_the_likelier(
+    sigma_deg: float, finds: bool, off_deg: float
+) -> None:
+    """In the middle of a bare room all looks the same once turned by half a circle."""
+    engine, rng = mapping_engine(), np.random.default_rng(0)
+    here = Pose2(4.0, 3.0, 0.3)
+    engine.update(request(cloud_at(room(), here, rng, sigma_m=0.01), here))
+    seen = here @ Pose2(0.05, 0.0, math.radians(2.0))
+    believed = Pose2(seen.x_m, seen.y_m, seen.theta_rad + math.radians(off_deg))
+    spread = np.diag([0.5**2, 0.5**2, math.radians(sigma_deg) ** 2])
+    cloud = cloud_at(room(), seen, rng, sigma_m=0.01, stamp_ns=1)
+    fix = engine.update(request(cloud, believed, spread)).fix
+    assert (fix is not None) == finds
+    if fix is not None:
+        flipped = off_deg > 90.0
+        likelier = seen.theta_rad + (math.pi if flipped else 0.0)
+        assert abs(math.remainder(fix.map_from_base.theta_rad - likelier, math.tau)) < 0.02
 
 
 @pytest.mark.parametrize("mode", ["mapping", "localization"])

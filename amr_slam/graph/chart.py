@@ -9,14 +9,16 @@ import numpy as np
 from amr_slam.clouds import Cloud
 from amr_slam.geometry import Array, Pose2, inverse_matrix, turned
 from amr_slam.graph.closing import Closing
-from amr_slam.graph.drift import Ties, astray_m
-from amr_slam.graph.posegraph import BEND, Edge, optimize, strains
+from amr_slam.graph.drift import Ties
+from amr_slam.graph.posegraph import Edge, optimize, strains
 from amr_slam.graph.recalling import Recalling
 from amr_slam.graph.submaps import Submaps
 from amr_slam.map import PointMap
 from amr_slam.map.ties import MapTies
 from amr_slam.params import SlamParams
 
+_STEP: Final = np.diag([0.02**2, 0.02**2, 0.006**2])
+"""Covariance that each step of the way has at least: submaps bend."""
 _MOVED_M: Final = 0.01
 _MOVED_RAD: Final = 0.002
 """A loop that moves the newest pose by less is not worth an announcement."""
@@ -24,6 +26,10 @@ _STRAINED_D2: Final = 2.4
 """Loops that are off by less, as half of all by chance, may wait"""
 _MOST_WAITING: Final = 12
 """until there are so many: then all poses are found anew."""
+_URGENT_D2: Final = 16.27
+"""A loop that is off by more than chance makes it waits for nothing. The others wait, too,"""
+_PATIENCE: Final = 300
+"""until the chart has grown by this part of it: however large it is, a scan costs the same."""
 
 
 class Chart:
@@ -34,9 +40,10 @@ class Chart:
         self._closing = Closing(params)
         self._recalling = Recalling(params)
         self._submaps = Submaps(params)
-        self._ties = Ties(params.closing.drift_model)
+        self._ties = Ties()
         self._sought_m = -np.inf
         self._waiting = 0  # loops that the poses do not know yet
+        self._relaxed = 0  # nodes that there were when poses were found anew last
         self.edges: list[Edge] = []
         """Steps of the way, and loops."""
         self._ways_m: list[float] = []
@@ -59,12 +66,10 @@ class Chart:
         chart._ways_m = [0.0, *(float(way_m) for way_m in np.cumsum(away_m))]
         chart._sought_m = chart._ways_m[-1]
         chart._tie([_edge(ties, row) for row in range(len(ties))])
-        model = params.closing.drift_model
-        apart = {edge.end for edge in chart.edges if not edge.loop and astray_m(edge, model) > 0.0}
         for row, (stamp_ns, pose) in enumerate(known.path):
             if len(known.rays[row]):
                 cloud = known.rays[row].cloud(stamp_ns, known.noises_m[row])
-                chart._submaps.insert(row, cloud, pose, chart._ways_m, apart=row in apart)
+                chart._submaps.insert(row, cloud, pose, chart._ways_m)
         return chart
 
     def ties(self) -> MapTies:
@@ -98,29 +103,29 @@ class Chart:
         Where that closes a loop: what takes poses of before to poses of now, at the newest node.
         """
         row = len(self.poses)
-        way_m, apart = 0.0, False
+        way_m = 0.0
         if row:
             way_m = self._ways_m[-1] + self.newest.distance_to(pose)
-            step = _step(row, self.newest, pose, covariance)
-            apart = astray_m(step, self._params.closing.drift_model) > 0.0
-            self._tie([step])
+            self._tie([_step(row, self.newest, pose, covariance)])
         self.poses = np.concatenate([self.poses, pose.as_array()[np.newaxis]])
         self._ways_m.append(way_m)
-        self._submaps.insert(row, cloud, pose, self._ways_m, apart=apart)
+        self._submaps.insert(row, cloud, pose, self._ways_m)
         rules = self._params.closing
         due = way_m - self._sought_m >= rules.step_m and len(self._submaps.finished) > 0
         if not rules.enabled or not due:
             return None
         self._sought_m = way_m
-        drift = self._ties.drift(self.poses)
+        drift = self._ties.drift(self.poses, rules.drift_model)
         found = self._closing.seek(cloud, self.poses, self._ways_m, drift, self._submaps)
         found += self._recalling.seek(self.poses, self._ways_m, drift, self._submaps)
         if not found:
             return None
         self._tie(found)
         self._waiting += len(found)
-        strained = float(strains(self.poses, found).max()) > _STRAINED_D2
-        return self._relax() if strained or self._waiting > _MOST_WAITING else None
+        strain = float(strains(self.poses, found).max())
+        wanted = strain > _STRAINED_D2 or self._waiting > _MOST_WAITING
+        grown = row - self._relaxed >= row // _PATIENCE
+        return self._relax() if strain > _URGENT_D2 or (wanted and grown) else None
 
     def _tie(self, edges: list[Edge]) -> None:
         self.edges += edges
@@ -131,7 +136,7 @@ class Chart:
         by, if it is worth an announcement."""
         before = self.newest
         self.poses = optimize(self.poses, self.edges, self._waiting)
-        self._waiting, self.moved = 0, True
+        self._waiting, self._relaxed, self.moved = 0, len(self.poses), True
         moved = self.newest @ before.inverse()
         if self.newest.distance_to(before) < _MOVED_M and abs(moved.theta_rad) < _MOVED_RAD:
             return None
@@ -154,5 +159,5 @@ def _step(row: int, before: Pose2, after: Pose2, covariance: Array) -> Edge:
         start=row - 1,
         end=row,
         delta=before.inverse() @ after,
-        information=inverse_matrix(turned(covariance, before.rotation.T) + BEND),
+        information=inverse_matrix(turned(covariance, before.rotation.T) + _STEP),
     )

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 
 from amr_slam.geometry import Array, Pose2, readonly, wrap_angle
 
-BEND: Final = readonly(np.diag([0.02**2, 0.02**2, 0.006**2]))
-"""Covariance that each step of the way has at least: submaps bend."""
 _ITERATIONS: Final = 20
 _SMALL: Final = 1e-4
 """A step below this (m, rad) ends the iteration."""

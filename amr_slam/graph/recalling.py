@@ -124,7 +124,8 @@ class Recalling:
     def _reaches_m(self, drift: Drift, submaps: Submaps) -> Array:
         """(m,) how far each finished piece may lie from where it is thought to lie."""
         spread = drift.places_m2[[submap.middle for submap in submaps.finished]]
-        return np.sqrt(self._params.closing.beyond_d2 * np.linalg.eigvalsh(spread)[:, -1])
+        widest_m2 = np.linalg.eigvalsh(spread)[:, -1]
+        return np.asarray(np.sqrt(self._params.closing.beyond_d2 * widest_m2))
 
     def _candidates(
         self, view: Array, pose: Pose2, poses: Array, drift: Drift, submap: Submap

@@ -134,14 +134,9 @@ class Submaps:
         middles = [submap.middle for submap in self.finished]
         return np.asarray(np.hypot(*(poses[middles, :2] - pose.translation).T))
 
-    def insert(
-        self, row: int, cloud: Cloud, pose: Pose2, ways_m: Sequence[float], *, apart: bool = False
-    ) -> None:
-        """Add the scan of a node; ``ways_m``: driven up to each node. ``apart``: nobody knows well
-        how it lies to those before; a piece that held both would be bent."""
+    def insert(self, row: int, cloud: Cloud, pose: Pose2, ways_m: Sequence[float]) -> None:
+        """Add the scan of a node; ``ways_m``: driven up to each node."""
         length_m = self._params.closing.submap_m
-        if apart and self._older.rows:
-            self._finish(Growing(map=PointMap(self._params.map)))
         self._older.insert(row, cloud, pose)
         way_m = ways_m[row] - ways_m[self._older.rows[0]]
         if self._younger is None and way_m > 0.5 * length_m:
@@ -149,14 +144,10 @@ class Submaps:
         if self._younger is not None:
             self._younger.insert(row, cloud, pose)
             if way_m > length_m:
-                self._finish(self._younger)
-
-    def _finish(self, following: Growing) -> None:
-        """The older piece is kept; ``following`` takes its place."""
-        self._firsts.append(len(self._rows))
-        self._rows = np.concatenate([self._rows, self._older.rows])
-        self.finished.append(self._older.finished(self._params))
-        self._older, self._younger = following, None
+                self._firsts.append(len(self._rows))
+                self._rows = np.concatenate([self._rows, self._older.rows])
+                self.finished.append(self._older.finished(self._params))
+                self._older, self._younger = self._younger, None
 
     def piece(self, ways_m: Sequence[float], length_m: float, apart_m: float) -> Cloud:
         """The scans of the last ``length_m`` of way, taken ``apart_m`` apart, as one cloud in the

@@ -2,14 +2,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from amr_slam.geometry import Array, Pose2
 from amr_slam.graph.drift import Ties
-from amr_slam.graph.posegraph import BEND, Edge
+from amr_slam.graph.posegraph import Edge
 from amr_slam.params import DriftParams
 
 PARAMS = DriftParams(heading_radpsqrtm=0.01, scale=0.0, place_m=0.001)
@@ -29,7 +27,7 @@ def edges(poses: list[Pose2], *loops: tuple[int, int]) -> list[Edge]:
             start=a,
             end=b,
             delta=poses[a].inverse() @ poses[b],
-            information=np.linalg.inv(BEND),
+            information=np.eye(3),
             loop=b != a + 1,
         )
         for a, b in pairs
@@ -51,9 +49,9 @@ def drifted(poses: list[Pose2], rng: np.random.Generator) -> Array:
 
 def test_what_is_told_is_what_chance_makes_of_the_way() -> None:
     poses, rng = way(), np.random.default_rng(0)
-    ties = Ties(PARAMS)
+    ties = Ties()
     ties.add(edges(poses))
-    told = ties.drift(np.array([pose.as_array() for pose in poses]))
+    told = ties.drift(np.array([pose.as_array() for pose in poses]), PARAMS)
     found = np.array([drifted(poses, rng) for _ in range(1500)])
     assert told.ways_m[0] == 69.0
     np.testing.assert_allclose(told.headings_rad[0], found[:, 2].std(), rtol=0.1)
@@ -64,30 +62,9 @@ def test_what_is_told_is_what_chance_makes_of_the_way() -> None:
 
 def test_a_loop_is_a_shorter_way() -> None:
     poses = way()
-    ties = Ties(PARAMS)
+    ties = Ties()
     ties.add(edges(poses, (3, 60)))
-    told = ties.drift(np.array([pose.as_array() for pose in poses]))
+    told = ties.drift(np.array([pose.as_array() for pose in poses]), PARAMS)
     assert told.ways_m[3] < 10.0
     assert 20.0 < told.ways_m[CORNER] < 45.0
     assert told.ways_m[-1] == told.headings_rad[-1] == 0.0
-
-
-def test_a_step_that_was_hardly_known_displaces_all_beyond_it() -> None:
-    poses, sigma = way(), np.array([0.4, 0.4, 0.2])
-    known = edges(poses)
-    unsure = replace(known[40], information=np.linalg.inv(np.diag(sigma**2) + BEND))
-    ties = Ties(PARAMS)
-    ties.add([*known[:40], unsure, *known[41:]])
-    rows = np.array([pose.as_array() for pose in poses])
-    told = ties.drift(rows)
-    assert math.sqrt(told.headings_rad[0] ** 2 - told.headings_rad[41] ** 2) == pytest.approx(
-        math.sqrt(sigma[2] ** 2 + 0.01**2 * 40), rel=0.01
-    )
-    # 30 m west of it and 10 m south: that far north and east for each radian.
-    arm = rows[40, :2] - rows[0, :2]
-    assert told.places_m2[0, 1, 1] > (0.9 * sigma[2] * arm[0]) ** 2
-    assert told.places_m2[41].max() < 1.0
-    # It is as long as the way that would lead as far astray, and a sure loop goes around it.
-    assert told.ways_m[0] == pytest.approx(68.0 + (sigma[2] / 0.01) ** 2, rel=0.01)
-    ties.add(edges(poses, (39, 42))[-1:])
-    assert ties.drift(rows).ways_m[0] < 75.0
