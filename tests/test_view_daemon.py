@@ -106,7 +106,7 @@ def test_a_daemon_is_seen_with_what_has_changed_and_told_to_extend_its_map(
 
 def is_in(box_m: list[float], middle_m: Array) -> bool:
     x, y = middle_m.tolist()
-    return box_m[0] - 0.4 <= x <= box_m[2] + 0.4 and box_m[1] - 0.4 <= y <= box_m[3] + 0.4
+    return bool(box_m[0] - 0.4 <= x <= box_m[2] + 0.4 and box_m[1] - 0.4 <= y <= box_m[3] + 0.4)
 
 
 def colours(page: Any, box_m: list[float], what: str) -> int:
