@@ -17,14 +17,15 @@ At = Callable[[float], Pose2]
 
 
 def changed(at: At, length_m: float) -> tuple[ChangePart, ...]:
-    """A pallet that came an hour ago, and a rack that went the day before yesterday."""
-    things: tuple[tuple[Literal["gone", "new"], float, float, float], ...] = (
-        ("gone", 0.2, 1.6, 50.0),
-        ("new", 0.72, 1.0, 1.0),
+    """A box that went two days ago, and one that came an hour ago, beside the way of the robots."""
+    # What, at which share of the round, how far to the left of it, its side, and since when.
+    things: tuple[tuple[Literal["gone", "new"], float, float, float, float], ...] = (
+        ("gone", 0.913, -1.16, 0.8, 50.0),
+        ("new", 0.59, 1.0, 0.7, 1.0),
     )
     parts = []
-    for number, (what, share, side_m, hours) in enumerate(things, start=1):
-        pose = at(share * length_m) @ Pose2(0.0, 1.2, 0.0)
+    for number, (what, share, left_m, side_m, hours) in enumerate(things, start=1):
+        pose = at(share * length_m) @ Pose2(0.0, left_m, 0.0)
         low, high = pose.translation - 0.5 * side_m, pose.translation + 0.5 * side_m
         since = time.time() - 3600.0 * hours
         box = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
