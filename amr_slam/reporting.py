@@ -8,17 +8,20 @@ import numpy as np
 
 from amr_slam.fusion import Calibration
 from amr_slam.geometry import Array, Pose2
-from amr_slam.living import ChangeCounts
+from amr_slam.living import ChangeCounts, MapDiff
 from amr_slam.samples import Candidate, Health, PoseEstimate
 from amr_slam.wheel_events import WheelEvent
 from amr_slam.wire import (
+    MAX_CHANGES,
     MAX_SCAN_POINTS,
     UNKNOWN,
     CalibrationPart,
     CandidatePart,
+    ChangePart,
     ChangesPart,
     EpochDelta,
     HealthPart,
+    MapChanges,
     OdomPose,
     PoseMessage,
     ScanMessage,
@@ -104,6 +107,26 @@ def changes_part(counts: ChangeCounts) -> ChangesPart:
         new=counts.new,
         gone=counts.gone,
         oldest_since=None if since_s is None else max(0.0, since_s),
+    )
+
+
+def map_changes(diff: MapDiff, map_id: str) -> MapChanges:
+    """The list of them: of too many the largest."""
+    largest = sorted(diff.changes, key=lambda change: -change.area_m2)[:MAX_CHANGES]
+    return MapChanges(
+        map=map_id,
+        total=len(diff.changes),
+        changes=tuple(
+            ChangePart(
+                number=change.number,
+                what=change.kind,
+                box=tuple(round(side_m, 3) for side_m in change.box_m),
+                since=None if change.since_s is None else round(max(0.0, change.since_s), 1),
+                seen=None if change.seen_s is None else round(max(0.0, change.seen_s), 1),
+                passes=change.passes,
+            )
+            for change in sorted(largest, key=lambda change: change.number)
+        ),
     )
 
 

@@ -20,7 +20,7 @@ from typing import Final
 from amr_slam.clouds import Cloud
 from amr_slam.engine import Mode, SlamEngine, SlamRequest, SlamResult
 from amr_slam.geometry import Array, Pose2
-from amr_slam.living import AcceptPolicy, ChangeKeeper
+from amr_slam.living import AcceptPolicy, ChangeKeeper, MapDiff
 from amr_slam.map import LoadedMap, MapError, PointMap, load_map, load_newest, save_map
 from amr_slam.map.export import image_within, png_bytes
 from amr_slam.map.lineage import frame_of
@@ -151,6 +151,10 @@ class Draw:
     """Side of a pixel; None: of a wall cell."""
 
 
+class Compare:
+    """Tell what has changed since the map was made. Answered by Compared."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Switched:
     """Requests are answered by the new job's map from now on."""
@@ -185,14 +189,21 @@ class Drawn:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """All that has been watched."""
+
+    diff: MapDiff
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Declined:
     """A task that was not done; everything is as before."""
 
     reason: str
 
 
-Task = Switch | Grow | Store | Draw
-TaskAnswer = Switched | Stored | Drawn | Declined
+Task = Switch | Grow | Store | Draw | Compare
+TaskAnswer = Switched | Stored | Drawn | Compared | Declined
 
 
 def serve(pipe: Connection, job: SlamJob) -> None:
@@ -304,8 +315,8 @@ class _Server:
                     return self._grow(request.job)
                 case Store():
                     return self._store(request)
-                case Draw():
-                    return self._draw(request)
+                case Draw() | Compare():
+                    return self._tell(request)
         except MapError as error:
             return Declined(reason=str(error))
 
@@ -371,6 +382,13 @@ class _Server:
             copied.name = task.name or grown.name
             map_id = str(save_map(copied, path, keep=0))
         return Stored(path=path, map_id=map_id, map_scans=len(grown.path))
+
+    def _tell(self, task: Draw | Compare) -> Drawn | Compared | Declined:
+        if isinstance(task, Draw):
+            return self._draw(task)
+        if self._changes is None:
+            return Declined(reason="no changes are watched: it is mapping, or slam.watching is off")
+        return Compared(diff=self._changes.watcher.diff())
 
     def _draw(self, task: Draw) -> Drawn:
         self._engine.settle()

@@ -191,6 +191,13 @@ def test_a_robot_whose_scans_lie_on_no_walls_is_in_another_place() -> None:
     assert "map" not in parts(RobotView(robot="amr7", pose=pose_of(), status=fits))
 
 
+def test_a_map_that_is_still_to_be_made_is_not_looked_for_in_a_file() -> None:
+    for mode, word in (("mapping", "first scan"), ("localization", "map.path")):
+        status = status_of(map=None, mode=mode, state=State.STARTING)
+        wrong = parts(RobotView(robot="amr7", pose=pose_of(), status=status))
+        assert word in (wrong["map"].do or "")
+
+
 def test_faults_of_the_service_itself_are_told_once() -> None:
     silent = HealthPart(
         link="LOST", age_s=9.0, rate_hz=0.0, samples=5, errors=1, detail="can0: Network is down"

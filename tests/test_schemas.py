@@ -69,6 +69,7 @@ def test_messages_as_they_arrive_validate() -> None:
         ("status", {"explained": 1.5}),
         ("scan", {"points": [[1.0]]}),
         ("map_image", {"width_px": 0}),
+        ("map_changes", {"changes": [{"number": 1, "what": "moved"}]}),
         ("set_pose", {"radius": 0.0}),
         ("set_pose", {"raduis": 1.0}),
         ("reply", {"ok": "yes"}),
@@ -81,5 +82,5 @@ def test_what_the_models_refuse_the_schemas_refuse(kind: str, change: dict[str, 
 
 
 def test_the_commands_of_the_page_are_taken() -> None:
-    for kind in set(EXAMPLES) - {"pose", "status", "scan", "map_image", "reply"}:
+    for kind in set(EXAMPLES) - {"pose", "status", "scan", "map_image", "map_changes", "reply"}:
         assert command_of(kind, EXAMPLES[kind].encode()).kind == kind

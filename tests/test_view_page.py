@@ -1,4 +1,4 @@
-"""``amr-slam view`` in Chromium, in front of three robots that drive, on real sessions."""
+"""What ``amr-slam view`` shows of three robots that drive, and what can be done with it."""
 
 from __future__ import annotations
 
@@ -6,30 +6,17 @@ import json
 import math
 import os
 import signal
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+import uuid
 
 import pytest
 import zenoh
-from test_publishing import free_endpoint
+from messages import pose_of, status_of
+from view_rig import DEADLINE_S, NAMES, Rig, glyph, huge, notices, rig, stranger_at, until
 
-from amr_slam.serving import Asked
-from amr_slam.studies.browsing import (
-    View,
-    browser,
-    chromium_path,
-    read,
-    view_process,
-    wait_for,
-)
-from amr_slam.studies.fleet.driving import Course, DrivingRobot
-from amr_slam.studies.fleet.processes import program
-from amr_slam.wire import CommandReply, PoseMessage, SetPose
-from amr_slam.wire.commands import FoundPose
+from amr_slam.studies.browsing import chromium_path, read, wait_for
+from amr_slam.wire import MAX_MAP_BYTES, MapPart, SetPose
+
+__all__ = ["rig"]
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 pytestmark = [
@@ -39,106 +26,9 @@ pytestmark = [
     pytest.mark.timeout(400),
 ]
 
-DEADLINE_S = 90.0
-NAMES = ("amr01", "amr02", "amr03")
-REACH_PX = 12
-"""Around a robot, in which its glyph is looked for."""
+STALE_S = 1.5
 PLACES_M = (2.0, 16.0, 30.0)
 """Along the round."""
-
-
-@dataclass
-class Convoy:
-    """Three robots, published ten times a second by one thread."""
-
-    endpoint: str
-    robots: dict[str, DrivingRobot]
-    asked: list[Asked] = field(default_factory=list)
-    frozen: set[str] = field(default_factory=set)
-    stop: threading.Event = field(default_factory=threading.Event)
-
-    def run(self) -> None:
-        while not self.stop.wait(0.1):
-            for name, robot in self.robots.items():
-                if name not in self.frozen:
-                    robot.publish()
-
-    def sent(self, name: str, seq: int) -> PoseMessage:
-        return next(pose for pose in self.robots[name].poses if pose.seq == seq)
-
-    def answer(self, asked: Asked) -> None:
-        self.asked.append(asked)
-        if isinstance(asked.request, SetPose):
-            asked.done(CommandReply(ok=True, pose=FoundPose(x=1.25, y=-3.5, theta=0.5)))
-        else:
-            asked.not_done("nothing fits")
-
-
-@dataclass(frozen=True)
-class Rig:
-    convoy: Convoy
-    view: View
-    browser: Any
-    restart_router: Callable[[], None]
-    stop_router: Callable[[], None]
-
-    @contextmanager
-    def page(self, address: str | None = None, **options: Any) -> Iterator[Any]:
-        """A page that shows the map and all robots."""
-        with self.browser.new_context(viewport={"width": 1200, "height": 800}, **options) as opened:
-            page = opened.new_page()
-            complaints: list[str] = []
-            page.on("pageerror", lambda error: complaints.append(str(error)))
-            page.goto(self.view.address if address is None else address)
-            wait_for(page, "v.layer.map && v.store.robots.size >= 3", DEADLINE_S)
-            yield page
-            assert complaints == []
-
-
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
-    endpoint = free_endpoint()
-    course = Course.laid(tmp_path_factory.mktemp("view"))
-    convoy = Convoy(endpoint, {})
-    with ExitStack() as opened:
-        routers = [opened.enter_context(ExitStack())]
-        routers[0].enter_context(program("router", endpoint))
-        for number, name in enumerate(NAMES):
-            convoy.robots[name] = opened.enter_context(
-                DrivingRobot(
-                    name,
-                    course,
-                    start_m=0.33 * course.length_m * number,
-                    connect=(endpoint,),
-                    answer=convoy.answer,
-                )
-            )
-        thread = threading.Thread(target=convoy.run)
-        thread.start()
-        opened.callback(thread.join)
-        opened.callback(convoy.stop.set)
-        view = opened.enter_context(view_process(endpoint, ["--allow-commands"]))
-        chromium = opened.enter_context(browser())
-
-        def stop_router() -> None:
-            routers[-1].close()
-
-        def restart_router() -> None:
-            routers.append(opened.enter_context(ExitStack()))
-            routers[-1].enter_context(program("router", endpoint))
-
-        yield Rig(convoy, view, chromium, restart_router, stop_router)
-
-
-def notices(page: Any) -> str:
-    return str(page.locator("#notices").inner_text())
-
-
-def until(page: Any, condition: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline, f"in vain: {what}"
-        page.wait_for_timeout(30.0)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -171,44 +61,6 @@ def test_robots_are_drawn_where_their_poses_say(rig: Rig, scheme: str) -> None:
             assert math.dist((x, y), (sent.x, sent.y)) < 1e-6
         for robot in rig.convoy.robots.values():
             robot.speed_mps = 0.6
-
-
-def glyph(page: Any, name: str) -> dict[str, Any]:
-    """What is drawn around a robot; a stale one, as on a busy computer, is hollow."""
-    found: dict[str, Any] = {}
-
-    def is_filled() -> bool:
-        found.update(page.evaluate(GLYPH, [name, REACH_PX]))
-        return found["state"] == "localized" and bool(found["count"] > 100)
-
-    until(page, is_filled, f"{name} is drawn as localized: {found}")
-    return found
-
-
-GLYPH = """([name, reach]) => {
-    const { store, camera } = window.amrSlam;
-    const { pose, state } = store.robots.get(name);
-    const style = getComputedStyle(document.documentElement);
-    const hex = style.getPropertyValue(`--state-${state}`).trim();
-    const wanted = [1, 3, 5].map((i) => parseInt(hex.slice(i, i + 2), 16));
-    const [px, py] = camera.toScreen(pose.x, pose.y);
-    const ctx = document.getElementById("canvas").getContext("2d");
-    const is = (x, y) => {
-        const data = ctx.getImageData(Math.floor(x), Math.floor(y), 1, 1).data;
-        return wanted.every((value, i) => Math.abs(value - data[i]) < 12);
-    };
-    let [count, sx, sy] = [0, 0, 0];
-    for (let y = Math.floor(py) - reach; y <= py + reach; y += 1) {
-        for (let x = Math.floor(px) - reach; x <= px + reach; x += 1) {
-            if (is(x, y)) { count += 1; sx += x + 0.5; sy += y + 0.5; }
-        }
-    }
-    const at = (k) => [px + 11 * k * Math.cos(pose.theta), py - 11 * k * Math.sin(pose.theta)];
-    return {
-        state, count, centre: [sx / count, sy / count], expected: [px, py],
-        ahead: is(...at(0.6)), behind: is(...at(-0.7)),
-    };
-}"""
 
 
 def test_a_pose_is_set_by_dragging_and_the_reply_is_shown(rig: Rig) -> None:
@@ -264,6 +116,8 @@ def test_without_the_right_nothing_is_commanded(rig: Rig) -> None:
 def test_the_past_is_there_for_who_opens_the_page_after_it(rig: Rig) -> None:
     with rig.page() as page:
         wait_for(page, "v.store.history.rings.get('amr03')?.count > 12", DEADLINE_S)
+        # Scans are kept by the page, from when it was opened.
+        wait_for(page, "v.store.scans.at('amr03', v.store.map, v.store.now() - 3.5)", DEADLINE_S)
         page.locator("#time").focus()
         for _ in range(3):
             page.keyboard.press("ArrowLeft")
@@ -280,10 +134,26 @@ def test_the_past_is_there_for_who_opens_the_page_after_it(rig: Rig) -> None:
         assert (shown["pose"]["x"], shown["pose"]["y"]) == pytest.approx((then.x, then.y), abs=1e-4)
         assert -0.2 < shown["time"] - then.stamp < 3.0
         assert "ago" in page.locator("#when").inner_text()
+        assert page.evaluate(SHARE_OF_SCAN) > 0.5
         page.keyboard.press("l")  # the slider has the keys: it is no shortcut there
         page.locator("#canvas").focus()
         page.keyboard.press("l")
         assert read(page, "v.store.past") is None
+
+
+SHARE_OF_SCAN = """() => {
+    const { store, camera } = window.amrSlam;
+    const points = store.scans.at("amr03", store.map, store.now() - store.past);
+    const ctx = document.getElementById("canvas").getContext("2d");
+    let blue = 0;
+    for (let i = 0; i < points.length; i += 2) {
+        const at = camera.toScreen(points[i], points[i + 1]);
+        const [red, , deep] = ctx.getImageData(...at, 1, 1).data;
+        blue += deep - red > 100;
+    }
+    return blue / (points.length / 2);
+}"""
+"""Of the scan that belongs to the instant: points that are drawn in its colour."""
 
 
 def test_distances_are_measured_with_the_keys_alone(rig: Rig) -> None:
@@ -299,27 +169,29 @@ def test_distances_are_measured_with_the_keys_alone(rig: Rig) -> None:
         assert read(page, "v.mode()") is None
 
 
+SINCE_POSE_S = "(({ turned, posed }) => (turned - posed) / 1000)(v.store.robots.get('amr02'))"
+"""On the page's own clock: from the last pose that came in to the state that it shows."""
+
+
 def test_a_frozen_robot_is_stale_soon(rig: Rig) -> None:
     with rig.page() as page:
         row = page.locator("[data-robot=amr02]")
         until(page, lambda: "Localized" in row.inner_text(), "amr02 is well")
-        rig.convoy.frozen.add("amr02")
-        begun_s = time.monotonic()
-        wait_for(page, "v.store.robots.get('amr02').state === 'stale'", DEADLINE_S)
-        # Contract: 1.5 s (benchmarks/view.py measures it); tests share their processors.
-        assert time.monotonic() - begun_s < 6.0
-        until(page, lambda: "Stale" in row.inner_text(), "the list says so")
+        seen_s: list[float] = []
+        # A busy computer adds to the time, and takes nothing from it: the shortest of a few counts.
+        while not seen_s or (min(seen_s) > STALE_S and len(seen_s) < 4):
+            rig.convoy.frozen.add("amr02")
+            wait_for(page, "v.store.robots.get('amr02').state === 'stale'", DEADLINE_S)
+            seen_s.append(read(page, SINCE_POSE_S))
+            until(page, lambda: "Stale" in row.inner_text(), "the list says so")
+            rig.convoy.frozen.clear()
+            until(page, lambda: "Localized" in row.inner_text(), "amr02 is well again")
+        assert 0.0 < min(seen_s) <= STALE_S
         assert "Localized" in page.locator("[data-robot=amr01]").inner_text()
-        rig.convoy.frozen.clear()
-        until(page, lambda: "Localized" in row.inner_text(), "amr02 is well again")
 
 
 def test_what_makes_no_sense_leaves_the_page_alive_and_is_told(rig: Rig) -> None:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([rig.convoy.endpoint]))
-    config.insert_json5("scouting/multicast/enabled", "false")
-    with rig.page() as page, zenoh.open(config) as stranger:
+    with rig.page() as page, stranger_at(rig.convoy.endpoint) as stranger:
         evil = '<img src=x onerror="window.owned=1">'
         for key, payload in (
             ("amr/amr01/fleet_pose", b"{"),
@@ -341,6 +213,69 @@ def test_what_makes_no_sense_leaves_the_page_alive_and_is_told(rig: Rig) -> None
         until(page, lambda: "no robot nobody is known here" in notices(page), "its notice")
         seq = read(page, "v.store.robots.get('amr01').pose.seq")
         wait_for(page, f"v.store.robots.get('amr01').pose.seq > {seq}", DEADLINE_S)
+
+
+@pytest.mark.parametrize("what", ["claimed", "real"])
+def test_a_huge_map_is_told_and_costs_neither_the_page_nor_its_other_map(
+    rig: Rig, what: str
+) -> None:
+    """``claimed``: a few hundred kilobytes that would be gigabytes; ``real``: more bytes than a
+    map may have on the network."""
+    map_id, data = huge() if what == "claimed" else (str(uuid.uuid4()), bytes(MAX_MAP_BYTES + 1))
+    name = f"giant-{what}"
+
+    def give(query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, data)
+
+    with rig.page() as page, stranger_at(rig.convoy.endpoint) as stranger:
+        shown = read(page, "v.store.map")
+        stranger.declare_queryable(f"amr/{name}/map", give)
+        token = stranger.liveliness().declare_token(f"amr/{name}/alive")
+        about = MapPart(id=map_id, name="giant", version=1)
+        stranger.put(f"amr/{name}/status", status_of(name, map=about).encode())
+        stranger.put(f"amr/{name}/fleet_pose", pose_of(name, map=map_id).encode())
+        page.locator(f"[data-robot={name}]").click(timeout=1000.0 * DEADLINE_S)
+        until(page, lambda: "No map: " in notices(page), "the notice")
+        complaint = {"claimed": "its map cannot be drawn: ", "real": "more than 67108864 bytes"}
+        assert complaint[what] in notices(page)
+        assert name in notices(page)
+        page.locator("[data-robot=amr01]").click()
+        wait_for(page, f"v.store.map === '{shown}' && v.layer.map", DEADLINE_S)
+        token.undeclare()  # type: ignore[no-untyped-call]  # as in client
+        until(page, lambda: "No map: " not in notices(page), "the end of the notice")
+        seq = read(page, "v.store.robots.get('amr01').pose.seq")
+        wait_for(page, f"v.store.robots.get('amr01').pose.seq > {seq}", DEADLINE_S)
+
+
+def test_two_fingers_zoom_and_what_is_between_them_stays(rig: Rig) -> None:
+    with rig.page(has_touch=True) as page:
+        box = page.locator("#canvas").bounding_box()
+        tools = page.context.new_cdp_session(page)
+
+        def touch(kind: str, *fingers: tuple[float, float]) -> None:
+            points = [{"x": box["x"] + x, "y": box["y"] + y, "id": n}
+                      for n, (x, y) in enumerate(fingers)]  # fmt: skip
+            tools.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+        scale = read(page, "v.camera.scale")
+        middle = read(page, "v.camera.toMap(400, 300)")
+        touch("touchStart", (350.0, 300.0))
+        touch("touchStart", (350.0, 300.0), (450.0, 300.0))
+        for step in range(1, 11):
+            touch("touchMove", (350.0 - 10 * step, 300.0), (450.0 + 10 * step, 300.0))
+        wait_for(page, f"v.camera.scale > {2.9 * scale}", DEADLINE_S)
+        touch("touchEnd")
+        assert read(page, "v.camera.scale") == pytest.approx(3.0 * scale, rel=0.01)
+        assert read(page, "v.camera.toMap(400, 300)") == pytest.approx(middle, abs=3.0 / scale)
+        assert read(page, "v.store.selected") is None  # no finger chose a robot
+        # One finger moves the map.
+        touch("touchStart", (400.0, 300.0))
+        touch("touchMove", (430.0, 300.0))
+        touch("touchMove", (460.0, 300.0))
+        touch("touchEnd")
+        x, _ = read(page, "v.camera.toMap(460, 300)")
+        assert x == pytest.approx(middle[0], abs=3.0 / scale)
 
 
 def test_a_router_that_goes_and_comes_back_is_shown(rig: Rig) -> None:

@@ -8,7 +8,14 @@
 threads. Needs zenoh and pydantic only.
 """
 
-from amr_slam.client.asking import AskingError, CommandRefusedError, ask_map, ask_map_image, call
+from amr_slam.client.asking import (
+    AskingError,
+    CommandRefusedError,
+    ask_map,
+    ask_map_changes,
+    ask_map_image,
+    call,
+)
 from amr_slam.client.listening import FleetListener, RobotView
 from amr_slam.client.robots import Fleet, Robot, StalePoseError
 from amr_slam.client.session import SessionError, close_session, open_client
@@ -23,6 +30,7 @@ __all__ = [
     "SessionError",
     "StalePoseError",
     "ask_map",
+    "ask_map_changes",
     "ask_map_image",
     "call",
     "close_session",

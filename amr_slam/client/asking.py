@@ -12,6 +12,7 @@ from amr_slam.wire import (
     MAX_MESSAGE_BYTES,
     Command,
     CommandReply,
+    MapChanges,
     MapImage,
     ScanMessage,
     Topic,
@@ -72,6 +73,18 @@ def ask_map_image(
         raise AskingError(f"{key}: the picture does not say where it lies")
     try:
         return reply.payload.to_bytes(), MapImage.decode(reply.attachment.to_bytes())
+    except WireError as error:
+        raise AskingError(f"{key}: {error}") from error
+
+
+def ask_map_changes(
+    session: zenoh.Session, prefix: str, robot: str, timeout_s: float
+) -> MapChanges:
+    """What has changed in the place since its map was made. Raises AskingError."""
+    key = robot_key(prefix, robot, Topic.MAP_CHANGES)
+    reply = _ask(session, key, MAX_MESSAGE_BYTES, timeout_s, priority=_BULK)
+    try:
+        return MapChanges.decode(reply.payload.to_bytes())
     except WireError as error:
         raise AskingError(f"{key}: {error}") from error
 

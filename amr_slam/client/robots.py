@@ -17,6 +17,7 @@ from typing import Final, Self
 from amr_slam.client.asking import (
     CommandRefusedError,
     ask_map,
+    ask_map_changes,
     ask_map_image,
     ask_scan,
     call,
@@ -28,6 +29,7 @@ from amr_slam.wire import (
     MAX_MAP_BYTES,
     Command,
     CommandReply,
+    MapChanges,
     MapImage,
     PoseMessage,
     ScanMessage,
@@ -287,4 +289,11 @@ class Robot:
         session = self._fleet.listener.session
         return await asyncio.to_thread(
             ask_map_image, session, self._fleet.prefix, self.name, timeout_s, max_bytes
+        )
+
+    async def map_changes(self, timeout_s: float = _ANSWER_S) -> MapChanges:
+        """What has changed in the place since its map was made. Raises AskingError."""
+        session = self._fleet.listener.session
+        return await asyncio.to_thread(
+            ask_map_changes, session, self._fleet.prefix, self.name, timeout_s
         )

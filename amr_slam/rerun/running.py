@@ -50,7 +50,7 @@ def rerun(path: Path, config: Config | None = None) -> Rerun:
     """
     try:
         with path.open("rb") as stream:
-            return _Run(path, config).through(mcap_file.records(stream))
+            return _Run(config).through(mcap_file.records(stream))
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
     except (*mcap_file.DAMAGE, ConfigError, WireError) as error:
@@ -58,8 +58,7 @@ def rerun(path: Path, config: Config | None = None) -> Rerun:
 
 
 class _Run:
-    def __init__(self, path: Path, config: Config | None) -> None:
-        self._path = path
+    def __init__(self, config: Config | None) -> None:
         self._config = config
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
@@ -75,7 +74,7 @@ class _Run:
         except mcap_file.CutOffError:
             pass  # what came before it is worth as much
         if self._localizer is None:
-            raise RecordingError(f"{self._path}: holds no snapshot to begin at")
+            raise ValueError("holds no snapshot to begin at")
         return Rerun(
             poses=self._poses,
             same=self._same,

@@ -14,13 +14,16 @@ from amr_slam.config import Config
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Localizer
 from amr_slam.region import Region
+from amr_slam.reporting import map_changes
 from amr_slam.samples import State
 from amr_slam.seeking import Seek
 from amr_slam.service.recorder import Recorder
 from amr_slam.service.tasks import Tasks
 from amr_slam.service.worker import SlamWorker
-from amr_slam.serving import Asked, ImageWanted, MapFile, MapWanted, Picture
+from amr_slam.serving import Asked, ChangesWanted, ImageWanted, MapFile, MapWanted, Picture
 from amr_slam.slam_process import (
+    Compare,
+    Compared,
     Draw,
     Drawn,
     Grow,
@@ -85,6 +88,8 @@ class Commands:
                 self._tasks.add(
                     asked, Draw(resolution_m=request.resolution_m), lambda a: self._drawn(asked, a)
                 )
+            case ChangesWanted():
+                self._tasks.add(asked, Compare(), lambda answer: self._compared(asked, answer))
             case SetPose() | ResumePose() | Relocalize():
                 objection = self._localizer.objection()
                 if objection is not None:
@@ -233,6 +238,12 @@ class Commands:
             row_of_y0_px=answer.rows + answer.y_min_m / answer.resolution_m,
         )
         asked.done(Picture(png=answer.png, georeference=georeference))
+
+    def _compared(self, asked: Asked, answer: TaskAnswer) -> None:
+        assert isinstance(answer, Compared)
+        active = self._worker.active_map
+        assert active is not None
+        asked.done(map_changes(answer.diff, active.map_id))
 
     # -- recordings
 

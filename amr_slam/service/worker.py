@@ -25,6 +25,7 @@ from amr_slam.living import ChangeCounts
 from amr_slam.samples import Health, Link
 from amr_slam.service.pipe import FromWorker, Outgoing, receive, send
 from amr_slam.slam_process import (
+    Compared,
     Declined,
     Drawn,
     Joined,
@@ -174,7 +175,7 @@ class SlamWorker:
             case SlamResult():
                 self._on_answer(message)
                 return message
-            case Switched() | Stored() | Drawn() | Declined():
+            case Switched() | Stored() | Drawn() | Compared() | Declined():
                 self._on_task_answer(message)
                 return message
             case Renewed():

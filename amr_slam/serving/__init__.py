@@ -7,6 +7,7 @@ slow network.
 
 from amr_slam.serving.asked import (
     Asked,
+    ChangesWanted,
     ImageWanted,
     MapFile,
     MapWanted,
@@ -23,6 +24,7 @@ from amr_slam.serving.telling import MapTeller
 
 __all__ = [
     "Asked",
+    "ChangesWanted",
     "CommandDesk",
     "Desk",
     "ImageWanted",

@@ -29,6 +29,11 @@ class ImageWanted:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ChangesWanted:
+    """What has changed in the place since the active map was made."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MapFile:
     """Where the active map is, whole."""
 
@@ -49,11 +54,11 @@ class Picture:
 class Asked:
     """Something for the loop to do. Whoever asks may give up: then the answer is cancelled."""
 
-    request: Command | MapWanted | ImageWanted
+    request: Command | MapWanted | ImageWanted | ChangesWanted
     by: str
     """Who, as far as zenoh tells."""
     answer: Future[Any] = field(default_factory=Future)
-    """CommandReply, MapFile or Picture; or NotDone."""
+    """CommandReply, MapFile, Picture or MapChanges; or NotDone."""
 
     def done(self, result: object) -> None:
         """Answer it; nothing happens where nobody waits any more."""

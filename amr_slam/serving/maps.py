@@ -1,4 +1,4 @@
-"""``map`` and ``map/image``."""
+"""``map``, ``map/image`` and ``map/changes``."""
 
 from __future__ import annotations
 
@@ -12,28 +12,43 @@ import zenoh
 
 from amr_slam.map import MapError
 from amr_slam.map.file import identity
-from amr_slam.serving.asked import Asked, ImageWanted, MapFile, MapWanted, NotDone, Picture, Put
+from amr_slam.serving.asked import (
+    Asked,
+    ChangesWanted,
+    ImageWanted,
+    MapFile,
+    MapWanted,
+    NotDone,
+    Picture,
+    Put,
+)
 from amr_slam.serving.desk import Answering, Desk, asking
-from amr_slam.wire import MAX_MAP_BYTES, SCHEMA_VERSION, Topic
+from amr_slam.wire import MAX_MAP_BYTES, SCHEMA_VERSION, MapChanges, Topic
 
 _MAP_QUERIES: Final = 2
-"""Of the map and its picture, here at once."""
+"""Of the map, its picture and its changes, here at once."""
 
 _MAP: Final = Topic.MAP.value
 _IMAGE: Final = Topic.MAP_IMAGE.value
+_CHANGES: Final = Topic.MAP_CHANGES.value
+_LEAVES: Final = tuple(f"/{leaf}" for leaf in (_MAP, _IMAGE, _CHANGES))
 
 _Finding = Callable[[zenoh.Query], Answering]
 
 
 class MapDesk:
-    """``map`` and ``map/image``: answered one after another."""
+    """``map``, ``map/image`` and ``map/changes``: answered one after another."""
 
     def __init__(self, session: zenoh.Session, base: str, put: Put) -> None:
         self._map_key, self._image_key = f"{base}/{_MAP}", f"{base}/{_IMAGE}"
+        self._changes_key = f"{base}/{_CHANGES}"
         self._desk = Desk("maps", put, places=_MAP_QUERIES)
         self._queryables = (
             session.declare_queryable(self._map_key, partial(self._on_query, self._find_map)),
             session.declare_queryable(self._image_key, partial(self._on_query, self._find_image)),
+            session.declare_queryable(
+                self._changes_key, partial(self._on_query, self._find_changes)
+            ),
         )
 
     def close(self) -> None:
@@ -41,7 +56,7 @@ class MapDesk:
 
     def _on_query(self, find: _Finding, query: zenoh.Query) -> None:
         """On a thread of zenoh's."""
-        if not str(query.key_expr).endswith((f"/{_MAP}", f"/{_IMAGE}")):
+        if not str(query.key_expr).endswith(_LEAVES):
             query.drop()  # type: ignore[no-untyped-call]  # who asks for all gets no megabytes
         elif not self._desk.enter(lambda: self._perform(find, query)):
             _refuse_map(query, "busy with the queries before this one: ask again")
@@ -67,9 +82,18 @@ class MapDesk:
             _send, query, self._image_key, image.png, zenoh.Encoding.IMAGE_PNG, attachment
         )
 
+    def _find_changes(self, query: zenoh.Query) -> Answering:
+        found: MapChanges = self._desk.ask(Asked(request=ChangesWanted(), by=asking(query)))
+        encoding = zenoh.Encoding.APPLICATION_JSON
+        return partial(_send, query, self._changes_key, found.encode(), encoding)
+
 
 def _send(
-    query: zenoh.Query, key: str, payload: bytes, encoding: zenoh.Encoding, attachment: bytes
+    query: zenoh.Query,
+    key: str,
+    payload: bytes,
+    encoding: zenoh.Encoding,
+    attachment: bytes | None = None,
 ) -> None:
     with query:
         query.reply(key, payload, encoding=encoding, attachment=attachment)

@@ -7,6 +7,7 @@ import json
 import logging
 import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from importlib import resources
 from importlib.metadata import version
 from typing import Any, Final
@@ -14,7 +15,7 @@ from typing import Any, Final
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-from amr_slam.client import AskingError, FleetListener, call
+from amr_slam.client import AskingError, FleetListener, ask_map_changes, call
 from amr_slam.viewing.access import Access, Right
 from amr_slam.viewing.hub import Hub
 from amr_slam.viewing.maps import Maps, MapsError
@@ -27,6 +28,9 @@ _log = logging.getLogger(__name__)
 _MAX_BODY_BYTES: Final = 8 * 1024
 _MAX_PAGES: Final = 32
 _MAX_COMMANDS: Final = 4
+_MAX_LISTS: Final = 4
+_LIST_S: Final = 20.0
+"""Lists of changes that are asked for at once, and for how long."""
 _ANSWER_S: Final = 50.0
 """A robot answers within 45 s, whatever it is asked (``serving.desk``)."""
 _KINDS: Final = {
@@ -58,6 +62,7 @@ class ViewServer:
         self._pages = 0
         self._calling = 0
         self._callers = ThreadPoolExecutor(_MAX_COMMANDS, thread_name_prefix="commands")
+        self._listers = ThreadPoolExecutor(_MAX_LISTS, thread_name_prefix="changes")
         self._files = _static_files()
 
     def application(self) -> web.Application:
@@ -65,6 +70,7 @@ class ViewServer:
         app.on_response_prepare.append(_add_headers)
         app.router.add_get("/ws", self._socket)
         app.router.add_get("/api/map", self._map)
+        app.router.add_get("/api/changes", self._changes)
         app.router.add_get("/api/history", self._history)
         app.router.add_post("/api/command", self._command)
         app.router.add_get("/{name:[a-z0-9_]*(?:\\.[a-z]+)?}", self._file)
@@ -80,7 +86,8 @@ class ViewServer:
         await asyncio.gather(task, return_exceptions=True)
         await asyncio.to_thread(self._hub.close)
         self._maps.close()
-        self._callers.shutdown(wait=False, cancel_futures=True)
+        for pool in (self._callers, self._listers):
+            pool.shutdown(wait=False, cancel_futures=True)
 
     def _guard(self) -> Middleware:
         @web.middleware
@@ -130,15 +137,28 @@ class ViewServer:
             self._pages -= 1
 
     async def _map(self, request: web.Request) -> web.Response:
-        listener = self._looking(request)
-        robot = request.query.get("robot", "")
-        if robot not in listener.views():
-            raise web.HTTPNotFound(text=f"no robot {robot:.40} is known here\n")
+        listener, robot = self._of_robot(request)
         try:
             packed = await self._maps.of(listener, robot)
         except MapsError as error:
             raise web.HTTPBadGateway(text=f"{error}\n") from error
         return web.Response(body=packed, content_type="application/octet-stream")
+
+    async def _changes(self, request: web.Request) -> web.Response:
+        listener, robot = self._of_robot(request)
+        work = partial(ask_map_changes, listener.session, self._settings.prefix, robot, _LIST_S)
+        try:
+            found = await asyncio.get_running_loop().run_in_executor(self._listers, work)
+        except AskingError as error:
+            raise web.HTTPBadGateway(text=f"{error}\n") from error
+        return web.Response(body=found.encode(), content_type="application/json")
+
+    def _of_robot(self, request: web.Request) -> tuple[FleetListener, str]:
+        """The session, and the robot that a request is about."""
+        listener, robot = self._looking(request), request.query.get("robot", "")
+        if robot not in listener.views():
+            raise web.HTTPNotFound(text=f"no robot {robot:.40} is known here\n")
+        return listener, robot
 
     async def _history(self, request: web.Request) -> web.Response:
         self._looking(request)

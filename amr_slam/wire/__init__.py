@@ -20,6 +20,7 @@ from amr_slam.wire.commands import (
     StartMapping,
     command_of,
 )
+from amr_slam.wire.map_changes import MAX_CHANGES, ChangePart, MapChanges
 from amr_slam.wire.messages import (
     MAX_CANDIDATES,
     MAX_SCAN_POINTS,
@@ -54,6 +55,7 @@ __all__ = [
     "COMMANDS",
     "DEFAULT_ENDPOINT",
     "MAX_CANDIDATES",
+    "MAX_CHANGES",
     "MAX_COMMAND_BYTES",
     "MAX_MAP_BYTES",
     "MAX_MESSAGE_BYTES",
@@ -64,6 +66,7 @@ __all__ = [
     "UNKNOWN",
     "CalibrationPart",
     "CandidatePart",
+    "ChangePart",
     "ChangesPart",
     "Command",
     "CommandReply",
@@ -71,6 +74,7 @@ __all__ = [
     "EpochDelta",
     "HealthPart",
     "LoadMap",
+    "MapChanges",
     "MapImage",
     "MapPart",
     "OdomPose",

@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any, Final
 
 from amr_slam.wire.commands import COMMANDS, CommandReply
+from amr_slam.wire.map_changes import MapChanges
 from amr_slam.wire.messages import MapImage, PoseMessage, ScanMessage, StatusMessage
 from amr_slam.wire.values import Payload
 
 _PAYLOADS: Final[dict[str, type[Payload]]] = {
-    **{said.kind: said for said in (PoseMessage, StatusMessage, ScanMessage, MapImage)},
+    **{said.kind: said for said in (PoseMessage, StatusMessage, ScanMessage)},
+    **{said.kind: said for said in (MapImage, MapChanges)},
     **COMMANDS,
     CommandReply.kind: CommandReply,
 }

@@ -22,6 +22,8 @@ class Topic(enum.StrEnum):
     """Answers ``get`` with the active map as .amrmap."""
     MAP_IMAGE = "map/image"
     """Answers ``get`` with a PNG; its georeference (MapImage) is the reply's attachment."""
+    MAP_CHANGES = "map/changes"
+    """Answers ``get`` with what has changed in the place since (MapChanges)."""
 
 
 def robot_key(prefix: str, robot: str, leaf: str) -> str:

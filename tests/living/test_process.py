@@ -9,14 +9,24 @@ from typing import Any
 import numpy as np
 import pytest
 from labs import cloud_at
-from living.places import AFTER, KNOWN, PLACES, mapped
+from living.places import AFTER, IS, KNOWN, PLACES, WAS, mapped
 from test_slam_process import Line, at_once, localizing, serving
 
 from amr_slam.engine import SlamRequest, SlamResult
-from amr_slam.living import AcceptPolicy, WatchParams, changes_path, compare_maps, load_changes
+from amr_slam.living import (
+    AcceptPolicy,
+    MapChange,
+    MapDiff,
+    WatchParams,
+    changes_path,
+    compare_maps,
+    load_changes,
+)
 from amr_slam.map import load_map, moved, save_map
 from amr_slam.params import SlamParams
-from amr_slam.slam_process import Renewed, SlamJob, Stop, Switch, Switched
+from amr_slam.reporting import map_changes
+from amr_slam.slam_process import Compare, Compared, Renewed, SlamJob, Stop, Switch, Switched
+from amr_slam.wire import MAX_CHANGES, MAX_MESSAGE_BYTES, MapChanges
 
 __all__ = ["at_once"]
 
@@ -59,7 +69,41 @@ def test_changes_are_told_kept_and_survive_a_restart(tmp_path: Path) -> None:
         result, _ = visits(line, 1)
         assert result.changes is not None
         assert (result.changes.new, result.changes.gone) == (1, 1)
+        compared = line.ask(Compare())
+        assert isinstance(compared, Compared)
+        told = map_changes(compared.diff, str(map_id))
+        assert MapChanges.decode(told.encode()) == told
+        assert told.total == 2
+        for change, shape in (("gone", WAS), ("new", IS)):
+            (found,) = [one for one in told.changes if one.what == change]
+            assert found.box == pytest.approx([*shape.min(axis=0), *shape.max(axis=0)], abs=0.2)
         line.pipe.send(Stop())
+
+
+def test_the_largest_of_too_many_changes_are_told_and_fit_into_a_message() -> None:
+    cell = np.array([[-99_999.123, -99_999.123]])
+    sizes = np.random.default_rng(0).permutation(2 * MAX_CHANGES)
+    diff = MapDiff(
+        against="",
+        changes=tuple(
+            MapChange(
+                number=number,
+                kind="gone",
+                cells_m=np.concatenate([cell, cell + 0.1 * size]),
+                cell_m=0.1,
+                since_s=1_700_000_000.123,
+                seen_s=1_700_000_000.123,
+                passes=99,
+            )
+            for number, size in enumerate(sizes, start=1)
+        ),
+    )
+    told = map_changes(diff, "6f1d6a44-7f0c-4b2c-9df0-0d5b4b4f3c11")
+    assert len(told.encode()) <= MAX_MESSAGE_BYTES
+    assert (told.total, len(told.changes)) == (2 * MAX_CHANGES, MAX_CHANGES)
+    numbers = [one.number for one in told.changes]
+    assert numbers == sorted(numbers)
+    assert sizes[np.array(numbers) - 1].min() == MAX_CHANGES
 
 
 def test_policy_makes_a_new_version_that_is_taken_up(tmp_path: Path) -> None:

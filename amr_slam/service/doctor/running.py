@@ -57,6 +57,9 @@ def _state(status: StatusMessage) -> Finding:
 
 
 def _map(status: StatusMessage) -> Finding:
+    if status.map is None and status.mode == "mapping":
+        do = "it begins with the first scan that is registered: slam, scanners and wheels below"
+        return Finding(part="map", what="none yet: it is to be made", do=do)
     if status.map is None:
         do = "look whether map.path is there and whole: amr-slam map info FILE; copy it anew"
         return Finding(part="map", what="none is loaded", do=do)

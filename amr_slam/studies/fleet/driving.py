@@ -25,7 +25,7 @@ from amr_slam.map import MapParams, PointMap, save_map
 from amr_slam.map.layers import LayerKind
 from amr_slam.publishing import RobotPublisher
 from amr_slam.samples import State
-from amr_slam.serving import Asked, MapFile, MapWanted
+from amr_slam.serving import Asked, ChangesWanted, MapFile, MapWanted
 from amr_slam.simulation import (
     ScannerModel,
     World,
@@ -36,9 +36,11 @@ from amr_slam.simulation import (
     take_scan,
 )
 from amr_slam.studies.fleet.programs import ready, wait_for_end
+from amr_slam.studies.fleet.troubles import WELL, troubled
 from amr_slam.wire import (
-    CandidatePart,
-    HealthPart,
+    ChangePart,
+    ChangesPart,
+    MapChanges,
     MapPart,
     OdomPose,
     PoseMessage,
@@ -47,7 +49,6 @@ from amr_slam.wire import (
     ZenohSettings,
 )
 
-_WELL: Final = HealthPart(link="OK", age_s=0.04, rate_hz=12.5, samples=1000, errors=0)
 _MAP_EVERY_M: Final = 2.5
 _SCAN_POINTS: Final = 360
 _SCANS_EVERY_S: Final = 0.5
@@ -140,6 +141,7 @@ class DrivingRobot:
         self.speed_mps = speed_mps
         self.way_m = start_m
         self._changes = dict(changes or {})
+        self._seen: tuple[ChangePart, ...] = self._changes.get("changes", ())
         self._begun_s = self._moved_s = time.monotonic()
         self._scanned_s = -math.inf if scans else math.inf
         self._told_s = -math.inf
@@ -190,6 +192,9 @@ class DrivingRobot:
     def _answer(self, asked: Asked) -> None:
         if isinstance(asked.request, MapWanted):
             asked.done(MapFile(path=self._course.map_path, map_id=self._course.map_id))
+        elif isinstance(asked.request, ChangesWanted) and self._seen:
+            map_id, seen = self._course.map_id, self._seen
+            asked.done(MapChanges(map=map_id, total=len(seen), changes=seen))
         elif self._answer_command is not None:
             self._answer_command(asked)
         else:
@@ -231,34 +236,24 @@ class DrivingRobot:
             state=state,
             mode="localization",
             map=MapPart(id=self._course.map_id, name="hall", version=1),
-            scanners=self._changes.get("scanners", {"front": _WELL, "rear": _WELL}),
-            wheels=_WELL.model_copy(update={"rate_hz": 50.0}),
-            slam=_WELL.model_copy(update={"rate_hz": 2.0}),
+            scanners=self._changes.get("scanners", {"front": WELL, "rear": WELL}),
+            wheels=WELL.model_copy(update={"rate_hz": 50.0}),
+            slam=WELL.model_copy(update={"rate_hz": 2.0}),
             version="simulated",
             uptime_s=time.monotonic() - self._begun_s,
             cpu_percent=14.0,
             memory_mb=380.0,
             candidates=self._changes.get("candidates", ()),
             explained=self._changes.get("explained", 0.94),
+            changes=self._counts(),
         )
 
-
-def troubled(course: Course) -> tuple[Mapping[str, Any], ...]:
-    """What the first robots of a scene say: one that is well, and some that need a look."""
-    lost = _WELL.model_copy(
-        update={"link": "LOST", "age_s": 42.0, "rate_hz": 0.0, "detail": "no data for 42 s"}
-    )
-    other = course.pose(0.6 * course.length_m)
-    place = CandidatePart(x=other.x_m, y=other.y_m, theta=other.theta_rad, odds=0.38)
-    return (
-        {},
-        {
-            "state": State.ODOMETRY_ONLY, "sigma_m": 0.16, "since_fix_s": 8.2, "explained": 0.41,
-            "scanners": {"front": lost, "rear": _WELL}, "fault": "front: no data for 42 s",
-        },
-        {"state": State.AMBIGUOUS, "sigma_m": 0.3, "candidates": (place,), "explained": 0.88},
-        {"state": State.LOST, "sigma_m": 0.8, "since_fix_s": 95.0, "explained": 0.12},
-    )  # fmt: skip
+    def _counts(self) -> ChangesPart | None:
+        if not self._seen:
+            return None
+        new = sum(one.what == "new" for one in self._seen)
+        since = min(one.since for one in self._seen if one.since is not None)
+        return ChangesPart(new=new, gone=len(self._seen) - new, oldest_since=since)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -274,7 +269,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--scene", action="store_true", help="with robots that need a look")
     arguments = parser.parse_args(argv)
     course = Course.laid(arguments.folder, seed=arguments.seed, area_m2=arguments.area)
-    changes = troubled(course) if arguments.scene else ()
+    changes = troubled(course.pose, course.length_m) if arguments.scene else ()
     with ExitStack() as opened:
         robots = [
             opened.enter_context(

@@ -31,6 +31,15 @@ export const ACTIONS = {
     fields: () => [name("Name of the new map", `hall-${today()}`)],
     steps: (values) => [["start_mapping", { name: values.name }]],
   },
+  extend_map: {
+    label: "Extend map",
+    asks: "The robot must be localized. From now on what it sees that is not in its map yet joins the map.",
+    fields: (robot) => [
+      { ...name("Map", mapName(robot)), readOnly: true },
+      { key: "hold", label: "Leave the old part as it is", type: "checkbox", required: false, checked: true },
+    ],
+    steps: ({ name: map, hold }) => [["start_mapping", { name: map, extend: true, hold }]],
+  },
   end_mapping: {
     label: "End mapping",
     asks: "The map is saved under this name, and the robot localizes in it from now on.",
@@ -76,7 +85,7 @@ export function ask(dialog, link, robot, key, given) {
   form.append(reply, make("div", { className: "buttons" }, cancel, go));
   form.onsubmit = async (event) => {
     event.preventDefault();
-    const values = Object.fromEntries([...inputs].map(([id, input]) => [id, input.type === "number" ? input.valueAsNumber : input.value]));
+    const values = Object.fromEntries([...inputs].map(([id, input]) => [id, valueOf(input)]));
     go.disabled = true;
     for (const input of inputs.values()) input.disabled = true;
     tell(reply, "waits", "Waiting for the robot …");
@@ -91,6 +100,11 @@ export function ask(dialog, link, robot, key, given) {
     go.remove();
   };
   show(dialog, form);
+}
+
+function valueOf(input) {
+  if (input.type === "checkbox") return input.checked;
+  return input.type === "number" ? input.valueAsNumber : input.value;
 }
 
 /** Ask for a token. */

@@ -91,6 +91,9 @@ export class Details {
       ["Error, 95 %", metres(pose.error95_m ?? Infinity)],
     ];
     if (live) values.push(["Pose age", seconds(this.store.age(robot))]);
+    if (live && !this.store.blind && robot.turned !== null) {
+      values.push(["In this state for", seconds((performance.now() - robot.turned) / 1000)]);
+    }
     if (!fresh) return values;
     const { explained, changes } = robot.status ?? {};
     const seen = changes ? [["Changes seen", `${changes.new} new, ${changes.gone} gone`]] : [];

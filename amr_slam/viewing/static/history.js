@@ -111,7 +111,8 @@ export class History {
     };
   }
 
-  /** The way up to an instant, as pieces [[x, y], ...] without a jump or gap, oldest first. */
+  /** The way up to an instant, as pieces [[x, y], ...] without a jump or gap, oldest first; their
+   * `epoch` is the newest row's, NaN where that is in another map. */
   trail(name, map, until, span) {
     const ring = this.rings.get(name);
     const end = ring ? ring.find(until) : -1;
@@ -124,6 +125,7 @@ export class History {
       epoch = here ? ring.get(i, EPOCH) : NaN;
       if (here) pieces.at(-1).push([ring.get(i, X), ring.get(i, Y)]);
     }
+    pieces.epoch = epoch;
     return pieces;
   }
 

@@ -51,6 +51,12 @@ export class RobotList {
     this.order = order;
   }
 
+  /** The same, but only where a state has changed or a robot is new: all else can wait. */
+  turn(palette) {
+    const turned = this.store.shown().some(({ name, state }) => this.rows.get(name)?.state !== state);
+    if (turned || palette !== this.palette) this.update(palette);
+  }
+
   #row(name) {
     if (this.rows.has(name)) return this.rows.get(name);
     const element = document.createElement("tr");

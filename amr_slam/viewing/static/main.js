@@ -2,21 +2,23 @@
 
 import { ask, askToken } from "./actions.js";
 import { Camera } from "./camera.js";
+import { Changes } from "./changes.js";
 import { Details } from "./details.js";
 import { listen } from "./gestures.js";
-import { drawLayers } from "./layers.js";
+import { Ground } from "./ground.js";
 import { Link } from "./link.js";
 import { RobotList } from "./list.js";
-import { MapLayer, drawGrid, drawScaleBar } from "./map_layer.js";
+import { MapLayer, drawScaleBar } from "./map_layer.js";
 import { Maps } from "./maps.js";
 import { Measuring, Placing } from "./modes.js";
 import { Notices } from "./notices.js";
 import { onPaletteChange, readPalette } from "./palette.js";
-import { drawScene } from "./scene.js";
+import { drawScene, sceneOf } from "./scene.js";
 import { Store } from "./store.js";
 import { Timeline } from "./timeline.js";
 
 const PANELS_MS = 250;
+const SLOW_MS = 1000; // what nobody reads faster, and what costs more than it tells
 const MOST_SCANS = 12;
 const CHOOSE_PX = 24;
 
@@ -25,12 +27,13 @@ const canvas = $("canvas");
 const store = new Store();
 const camera = new Camera();
 const layer = new MapLayer();
+const ground = new Ground(layer);
 const notices = new Notices($("notices"));
 let palette = readPalette();
 let mode = null;
 let following = false;
 let fitted = false;
-let dirty = true;
+let dirty = false; // a frame is asked for
 
 const link = new Link({
   hello({ right, allow_commands: allowed, version }) {
@@ -45,11 +48,11 @@ const link = new Link({
     store.hear(message);
     for (const text of message.notices) notices.say(text, text, { alarm: true });
     timeline.tick();
-    dirty = true;
+    if (message.robots.length || message.statuses.length || message.scans.length) touch();
   },
   closed() {
     store.open = false;
-    dirty = true;
+    touch();
   },
   refused() {
     if (!$("dialog").open) askToken($("dialog"), link, "This view shows the robots to those who have a token.");
@@ -60,9 +63,10 @@ const maps = new Maps({
   store, link, layer, notices, choice: $("map-choice"), select: $("map"),
   shown(first) {
     if (first) fit();
-    dirty = true;
+    touch();
   },
 });
+const changes = new Changes({ store, link, notices, button: $("changes"), shown: touch });
 const list = new RobotList($("robots"), [...document.querySelectorAll("th button")], store, choose);
 const details = new Details($("details"), store, act);
 const timeline = new Timeline({ strip: $("strip"), slider: $("time"), when: $("when"), live: $("live") }, store, refresh);
@@ -71,7 +75,7 @@ let scansOf = "";
 async function loadHistory() {
   try {
     store.history.load(await link.bytes("/api/history"));
-    dirty = true;
+    touch();
   } catch (error) {
     notices.say("history", `The last minutes are not to be had: ${error.message}`);
   }
@@ -83,7 +87,7 @@ function fit() {
   const ys = [...(layer.map ? [layer.map.bounds[1], layer.map.bounds[3]] : []), ...robots.map(({ y }) => y)];
   if (xs.length) camera.fit([Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)]);
   fitted = xs.length > 0;
-  dirty = true;
+  touch();
 }
 
 function choose(name) {
@@ -98,13 +102,13 @@ function setMode(next) {
   $("mode").hidden = !mode;
   $("mode").textContent = mode?.says ?? "";
   canvas.classList.toggle("aims", Boolean(mode));
-  dirty = true;
+  touch();
 }
 
 function follow(on) {
   following = on;
   $("follow").setAttribute("aria-pressed", String(on));
-  dirty = true;
+  touch();
 }
 
 function act(key, name) {
@@ -127,7 +131,7 @@ function act(key, name) {
 
 listen(canvas, camera, {
   mode: () => mode,
-  changed: () => { dirty = true; },
+  changed: touch,
   moved: () => follow(false),
   choose(px, py) {
     const near = store.shown().filter(({ pose }) => pose?.map === store.map).map(({ name, pose }) => {
@@ -144,6 +148,7 @@ const keys = {
   "-": () => camera.zoom(1 / 1.3),
   0: fit,
   f: () => follow(!following),
+  c: () => $("changes").click(),
   m: () => setMode(mode instanceof Measuring ? null : new Measuring()),
   l: () => $("live").click(),
   Escape: () => setMode(null),
@@ -152,20 +157,24 @@ document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || $("dialog").open) return;
   if (event.target.matches("select, input")) return;
   keys[event.key]?.();
-  dirty = true;
+  touch();
 });
 $("zoom-in").onclick = keys["+"];
 $("zoom-out").onclick = keys["-"];
 $("fit").onclick = fit;
 $("follow").onclick = keys.f;
 $("measure").onclick = keys.m;
-for (const id of ["zoom-in", "zoom-out"]) $(id).addEventListener("click", () => { dirty = true; });
+for (const id of ["zoom-in", "zoom-out"]) $(id).addEventListener("click", touch);
 $("right").onclick = () => askToken($("dialog"), link, store.allowCommands
   ? "A token for commands lets this page command robots."
   : "This view was started without --allow-commands: a token changes nothing but who may look.");
 
+let slow = -Infinity;
+let blind = false;
+
 function panels() {
-  dirty = true; // what has grown stale, or blind, is drawn so without a tick
+  if (blind !== store.blind) touch(); // drawn so without a tick
+  blind = store.blind;
   const up = store.link.up && !store.blind;
   const text = store.blind ? "no word from the view's server" : store.link.text;
   if ($("link").textContent !== text) $("link").textContent = text;
@@ -182,9 +191,14 @@ function panels() {
   $("empty").hidden = store.robots.size > 0;
   $("empty").textContent = up ? "No robot is there yet." : "";
   maps.update();
+  changes.update();
+  list.turn(palette);
+  details.update(palette);
+  if (performance.now() - slow < SLOW_MS) return;
+  slow = performance.now();
+  touch(); // old scans go
   askForScans();
   list.update(palette);
-  details.update(palette);
   timeline.update(palette);
 }
 
@@ -208,13 +222,19 @@ function askForScans() {
 }
 
 function refresh() {
-  dirty = true;
+  touch();
+  slow = -Infinity;
   panels();
 }
 
-function draw() {
+/** Something to be seen has changed: the next frame shows it. */
+function touch() {
+  if (dirty) return;
+  dirty = true;
   requestAnimationFrame(draw);
-  if (!dirty) return;
+}
+
+function draw() {
   dirty = false;
   const ratio = window.devicePixelRatio || 1;
   const begun = performance.now();
@@ -222,17 +242,13 @@ function draw() {
     const one = store.shown().find(({ name }) => name === store.selected);
     if (one?.pose && one.pose.map === store.map) [camera.x, camera.y] = [one.pose.x, one.pose.y];
   }
+  const scene = sceneOf(store);
+  if (!fitted && scene.shown.length && !layer.map) fit();
   const ctx = canvas.getContext("2d", { alpha: false });
-  ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
-  ctx.fillStyle = palette.ground;
-  ctx.fillRect(0, 0, camera.width, camera.height);
-  dirty = layer.draw(ctx, camera, palette, ratio);
-  const grid = drawGrid(ctx, camera, palette);
-  drawLayers(ctx, camera, layer.map?.layers ?? [], palette);
-  const shown = drawScene(ctx, camera, store, palette);
-  if (!fitted && shown.length && !layer.map) fit();
+  if (ground.draw(ctx, camera, palette, ratio, scene, changes.drawn)) touch();
+  drawScene(ctx, camera, scene, palette, ground.until);
   mode?.draw(ctx, camera, palette);
-  drawScaleBar(ctx, camera, palette, grid);
+  drawScaleBar(ctx, camera, palette, ground.grid);
   drawn.push(performance.now() - begun);
   if (drawn.length > 600) drawn.shift();
 }
@@ -244,14 +260,13 @@ new ResizeObserver(() => {
   camera.height = canvas.clientHeight;
   canvas.width = Math.round(camera.width * ratio);
   canvas.height = Math.round(camera.height * ratio);
-  dirty = true;
+  touch();
 }).observe(canvas);
 onPaletteChange(() => {
   palette = readPalette();
   refresh();
 });
 
-window.amrSlam = { store, camera, layer, link, choose, drawn, mode: () => mode }; // to be read in the console, and by tests
+window.amrSlam = { store, camera, layer, link, changes, choose, drawn, mode: () => mode }; // to be read in the console, and by tests
 link.open();
 setInterval(panels, PANELS_MS);
-draw();

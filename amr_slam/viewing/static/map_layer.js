@@ -1,6 +1,7 @@
 // The map: floor and walls, kept as a picture that is larger than the canvas while the view moves.
 
 import { roundStep } from "./camera.js";
+import { putText } from "./sprites.js";
 
 const MARGIN = 1.5; // the picture's side over the canvas's
 const SETTLED_MS = 90; // a view that still zooms stretches the old picture
@@ -160,9 +161,17 @@ export function drawScaleBar(ctx, camera, palette, grid) {
   drawText(ctx, `grid ${metres(grid)}`, x + px + 12, y + 1, palette, { size: 12, colour: palette.quiet });
 }
 
+const fontOf = (weight, size) => `${weight} ${size}px system-ui, -apple-system, "Segoe UI", Roboto, Inter, sans-serif`;
+
+/** A text in the middle over (x, y) that comes again frame by frame. */
+export function drawName(ctx, text, x, y, palette, size) {
+  const style = { align: "center", size, weight: 600 };
+  putText(ctx, text, fontOf(600, size), `${palette.ground}${palette.ink}`, x, y, (to) => drawText(to, text, 0, 0, palette, style));
+}
+
 /** Text with a halo, so that it is read on walls. */
 export function drawText(ctx, text, x, y, palette, { align = "left", size = 13, weight = 500, colour, baseline = "alphabetic" } = {}) {
-  ctx.font = `${weight} ${size}px system-ui, -apple-system, "Segoe UI", Roboto, Inter, sans-serif`;
+  ctx.font = fontOf(weight, size);
   ctx.textAlign = align;
   ctx.textBaseline = baseline;
   ctx.lineJoin = "round";

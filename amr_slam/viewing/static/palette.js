@@ -2,7 +2,7 @@
 
 import { STATES } from "./states.js";
 
-const NAMES = ["ground", "panel", "ink", "quiet", "line", "accent", "floor", "wall", "scan", "grid", "layer"];
+const NAMES = ["ground", "panel", "ink", "quiet", "line", "accent", "floor", "wall", "scan", "grid", "layer", "new", "gone"];
 
 export function readPalette() {
   const style = getComputedStyle(document.documentElement);

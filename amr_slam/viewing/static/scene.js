@@ -1,72 +1,69 @@
-// What moves on the map: trails, scans, error ellipses, robots, the places that a robot may be at.
+// What moves on the map: scans, error ellipses, robots, the places that a robot may be at.
 
-import { drawText } from "./map_layer.js";
+import { drawName, drawText } from "./map_layer.js";
+import { putTurned } from "./sprites.js";
 import { drawGlyph } from "./states.js";
+import { drawTrail } from "./trails.js";
 
-const TRAIL_S = 60;
 const MANY = 30; // robots: shorter trails, smaller glyphs, names of those that need a look
-const MANY_TRAIL_S = 15;
-const SCAN_MS = 6000; // three periods of a slow scanner: older says nothing of now
 const ROOT_CHI2_95 = Math.sqrt(5.991); // two degrees of freedom
 const SURE = new Set(["localized", "mapping"]);
+const NAME_PX = 150; // half of the longest name, and its height
+const UNDER_GLYPH = 0.4; // of a glyph's radius: what is smaller lies wholly under it
 
-export function drawScene(ctx, camera, store, palette) {
+/** The robots on the map that is shown, and the instant for which they are so (server's seconds). */
+export function sceneOf(store) {
   const shown = store.shown().filter(({ pose }) => pose && pose.map === store.map);
-  const many = shown.length > MANY;
-  const until = store.now() - (store.past ?? 0);
-  for (const one of shown) drawTrail(ctx, camera, store, one, palette, until, many);
-  if (store.past === null) {
-    for (const one of shown) drawScan(ctx, camera, store, one, palette);
+  // What needs a look lies on top.
+  const { selected } = store;
+  shown.sort((a, b) => (a.name === selected) - (b.name === selected) || SURE.has(b.state) - SURE.has(a.state));
+  return {
+    store, shown, selected, many: shown.length > MANY, live: store.past === null,
+    until: store.now() - (store.past ?? 0),
+  };
+}
+
+/** `since`: the trails on the ground end then. */
+export function drawScene(ctx, camera, scene, palette, since) {
+  const { store, shown, live, many, until } = scene;
+  for (const one of shown) drawTrail(ctx, camera, scene, one, palette, until, Math.max(0, until - since), one.pose);
+  for (const one of shown) drawScan(ctx, camera, scene, one, palette);
+  if (live) {
     for (const one of shown) drawCandidates(ctx, camera, one, palette);
   }
-  for (const one of shown) drawEllipse(ctx, camera, one, palette);
-  // What needs a look lies on top.
-  shown.sort((a, b) => (a.name === store.selected) - (b.name === store.selected) || SURE.has(b.state) - SURE.has(a.state));
+  for (const one of shown) drawEllipse(ctx, camera, scene, one, palette);
   for (const one of shown) drawRobot(ctx, camera, store, one, palette, many);
-  return shown;
 }
 
-function drawTrail(ctx, camera, store, { name, state, pose }, palette, until, many) {
-  const chosen = name === store.selected;
-  const pieces = store.history.trail(name, store.map, until, many && !chosen ? MANY_TRAIL_S : TRAIL_S);
-  if (pieces.length) pieces.at(-1).push([pose.x, pose.y]);
-  ctx.strokeStyle = palette.states[state];
-  ctx.lineCap = ctx.lineJoin = "round";
-  ctx.lineWidth = chosen ? 3 : 2;
-  ctx.globalAlpha = chosen ? 0.75 : 0.4;
-  ctx.beginPath();
-  for (const piece of pieces) {
-    piece.forEach(([x, y], i) => {
-      const [px, py] = camera.toScreen(x, y);
-      if (i) ctx.lineTo(px, py);
-      else ctx.moveTo(px, py);
-    });
-  }
-  ctx.stroke();
-  ctx.globalAlpha = 1;
+const radius = (chosen, many) => (chosen ? 13 : many ? 8 : 11);
+
+function isOn(camera, px, py, reach) {
+  return px > -reach && py > -reach && px < camera.width + reach && py < camera.height + reach;
 }
 
-function drawScan(ctx, camera, store, { robot, state }, palette) {
-  const { scan } = robot;
-  if (!scan || scan.map !== store.map || performance.now() - scan.heard > SCAN_MS) return;
-  const side = robot.robot === store.selected ? 3.4 : 2.6;
+function drawScan(ctx, camera, { store, selected, until }, { name, state }, palette) {
+  const points = store.scans.at(name, store.map, until);
+  if (!points) return;
+  const side = name === selected ? 3.4 : 2.6;
   ctx.fillStyle = palette.scan;
   ctx.globalAlpha = SURE.has(state) ? 0.9 : 0.5;
-  for (const [x, y] of scan.points) {
-    const [px, py] = camera.toScreen(x, y);
+  for (let i = 0; i < points.length; i += 2) {
+    const [px, py] = camera.toScreen(points[i], points[i + 1]);
     ctx.fillRect(px - side / 2, py - side / 2, side, side);
   }
   ctx.globalAlpha = 1;
 }
 
-function drawEllipse(ctx, camera, { pose, state }, palette) {
+function drawEllipse(ctx, camera, { selected, many }, { name, pose, state }, palette) {
   const { xx, xy, yy } = pose;
   const middle = (xx + yy) / 2;
   const spread = Math.hypot((xx - yy) / 2, xy);
   const axis = (variance) => Math.min(1e5, ROOT_CHI2_95 * Math.sqrt(Math.max(variance, 0)) * camera.scale);
   const [px, py] = camera.toScreen(pose.x, pose.y);
+  const longest = axis(middle + spread);
+  if (longest < UNDER_GLYPH * radius(name === selected, many) || !isOn(camera, px, py, longest)) return;
   ctx.beginPath();
-  ctx.ellipse(px, py, axis(middle + spread), axis(middle - spread), -0.5 * Math.atan2(2 * xy, xx - yy), 0, 2 * Math.PI);
+  ctx.ellipse(px, py, longest, axis(middle - spread), -0.5 * Math.atan2(2 * xy, xx - yy), 0, 2 * Math.PI);
   ctx.fillStyle = ctx.strokeStyle = palette.states[state];
   ctx.globalAlpha = 0.16;
   ctx.fill();
@@ -103,21 +100,22 @@ function drawCandidates(ctx, camera, { robot, state, pose }, palette) {
 
 function drawRobot(ctx, camera, store, { name, state, pose }, palette, many) {
   const [px, py] = camera.toScreen(pose.x, pose.y);
+  if (!isOn(camera, px, py, NAME_PX)) return;
   const chosen = name === store.selected;
-  const r = chosen ? 13 : many ? 8 : 11;
-  ctx.save();
-  ctx.translate(px, py);
+  const r = radius(chosen, many);
   if (chosen) {
     ctx.beginPath();
-    ctx.arc(0, 0, r + 8, 0, 2 * Math.PI);
+    ctx.arc(px, py, r + 8, 0, 2 * Math.PI);
     ctx.strokeStyle = palette.accent;
     ctx.lineWidth = 2;
     ctx.stroke();
   }
-  drawGlyph(ctx, state, -pose.theta, r, palette.states[state], palette.ground);
-  ctx.restore();
+  const colour = palette.states[state];
+  putTurned(ctx, `${state}|${r}|${colour}`, -pose.theta, 1.3 * r + 3, px, py, (to, angle) => {
+    drawGlyph(to, state, angle, r, colour, palette.ground);
+  });
   if (!many || chosen || !SURE.has(state)) {
     const label = name.length > 24 ? `${name.slice(0, 23)}…` : name;
-    drawText(ctx, label, px, py - r - (chosen ? 13 : 7), palette, { align: "center", size: chosen ? 15 : 13, weight: 600 });
+    drawName(ctx, label, px, py - r - (chosen ? 13 : 7), palette, chosen ? 15 : 13);
   }
 }

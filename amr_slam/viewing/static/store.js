@@ -1,6 +1,7 @@
 // What the page knows of the robots, and whether it still hears anything.
 
 import { History } from "./history.js";
+import { PastScans } from "./past_scans.js";
 import { STATES } from "./states.js";
 
 const BLIND_MS = 1200; // twelve ticks: the server, or the way to it, has stopped
@@ -9,6 +10,7 @@ export class Store {
   constructor() {
     this.robots = new Map();
     this.history = new History(Object.keys(STATES));
+    this.scans = new PastScans();
     this.selected = null;
     this.map = null; // UUID of the map that is shown
     this.link = { up: false, text: "connecting" };
@@ -34,19 +36,29 @@ export class Store {
     this.clock = tick.time_s - Date.now() / 1000;
     this.monotonic = tick.monotonic_s - this.heard / 1000;
     this.link = tick.link;
-    for (const told of tick.robots) {
-      Object.assign(this.robot(told.robot), told);
-    }
+    for (const told of tick.robots) this.#tell(told);
     for (const status of tick.statuses) this.robot(status.robot).status = status;
-    for (const scan of tick.scans) this.robot(scan.robot).scan = { ...scan, heard: this.heard };
+    for (const { robot, map, points } of tick.scans) this.scans.push(robot, map, points, tick.time_s);
     for (const robot of this.robots.values()) {
       if (robot.pose) this.history.record(robot.robot, robot.state, robot.pose, tick.time_s);
     }
   }
 
+  /** `posed`, `turned`: performance.now() when the newest pose came in, and when the state became
+   * what it is; null where that was before this page was opened. */
+  #tell(told) {
+    const known = this.robots.get(told.robot)?.heard;
+    const robot = this.robot(told.robot);
+    if (told.pose && told.pose.seq !== robot.pose?.seq) robot.posed = this.heard;
+    if (told.state !== robot.state || !known) robot.turned = known ? this.heard : null;
+    Object.assign(robot, told, { heard: true });
+  }
+
   robot(name) {
     if (!this.robots.has(name)) {
-      this.robots.set(name, { robot: name, state: "absent", alive: false, pose: null, status: null });
+      this.robots.set(name, {
+        robot: name, state: "absent", alive: false, pose: null, status: null, posed: null, turned: null,
+      });
     }
     return this.robots.get(name);
   }
