@@ -12,6 +12,7 @@ from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, unknown
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Array, Pose2, inverse_matrix
+from amr_slam.inspection import Inspection
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.registration.alignment import Alignment
@@ -21,6 +22,7 @@ WHEEL_NS = 20_000_000
 DRIVE = DifferentialDrive(radius_left_m=0.1, radius_right_m=0.1, track_m=0.5)
 PARAMS = LocalizerParams()
 SURE = np.diag([1e-4, 1e-4, 1e-6])
+UNTOLD = Inspection()
 
 
 class Rig:
@@ -164,6 +166,7 @@ class Rig:
         change: Change | None = None,
         sought: bool = False,
         moved: Pose2 | None = None,
+        inspection: Inspection = UNTOLD,
     ) -> Outcome:
         result = SlamResult(
             stamp_ns=self.now_ns if stamp_ns is None else stamp_ns,
@@ -175,6 +178,7 @@ class Rig:
             change=change,
             sought=sought,
             moved=moved,
+            inspection=inspection,
         )
         outcome = self.localizer.handle(result)
         self.collect()

@@ -85,7 +85,7 @@ class Commands:
     def miss(self) -> None:
         """The pose that the search has found cannot be taken any more."""
         if self._seek is not None:
-            self._seek.give_up("the scan came too late")
+            self._seek.give_up("the pose that was found cannot be taken")
 
     def _end_seek(self, reason: str) -> None:
         if self._seek is not None and not self._seek.ended:

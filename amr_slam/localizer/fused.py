@@ -89,10 +89,9 @@ class FusedPose:
 
     def bridge_silence(self, until_ns: int) -> None:
         """Wheels that are silent must not stop the scans: carry the filter on, unsure."""
-        if self.filter is None:
-            return
-        if until_ns - self.filter.stamp_ns > round(1e9 * self._params.wheels_silent_s):
-            self.filter.predict(self.odometry.silence(self.filter.stamp_ns, until_ns))
+        fusion = self.running
+        if until_ns - fusion.stamp_ns > round(1e9 * self._params.wheels_silent_s):
+            fusion.predict(self.odometry.silence(fusion.stamp_ns, until_ns))
 
     def reset(self, stamp_ns: int | None, map_from_base: Pose2, covariance: Array) -> Outcome:
         """Jump to a pose of ``stamp_ns`` (None: of now); RESET where that was done, or nothing was
