@@ -72,8 +72,34 @@ def add_map(commands: Subparsers[Parser]) -> None:
     bring.add_argument("--out", metavar="NEW.amrmap", type=path_ending(".amrmap"), required=True)
     bring.add_argument("--name", help="the map's name (default: the file's)")
     _add_edit(actions)
+    merge = _add_merge(actions)
     for action in (info, render, export, align, report, *_add_living(actions)):
         action.add_argument("map", metavar="MAP", type=Path, help="NAME.amrmap")
+    merge.add_argument("map", metavar="MAP", type=Path, help="whose frame is kept")
+    merge.add_argument("other", metavar="LATER", type=Path, help="the map that joins it")
+
+
+def _add_merge(actions: Subparsers[Parser]) -> Parser:
+    merge = add_command(
+        actions,
+        "merge",
+        "two maps of one hall, made in sessions of their own, into a new one",
+        "amr-slam map merge hall-east.amrmap hall-west.amrmap --out hall.amrmap",
+        "Finds where the second lies in the first by what both have seen, and refuses where that "
+        "is not told for sure. The first one's frame stays; what the second contradicts gives "
+        "way. docs/maps.md.",
+    )
+    add = merge.add_argument
+    add("--out", "-o", metavar="NEW.amrmap", type=path_ending(".amrmap"), required=True)
+    add("--name", help="the new map's name (default: the file's)")
+    add(
+        "--near",
+        metavar="X,Y,THETA_DEG",
+        type=mounting,
+        help="the second map's origin in the first, to 5 m and 45 deg, where they fit in several "
+        "ways (0,0,0: one frame already)",
+    )
+    return merge
 
 
 def _add_edit(actions: Subparsers[Parser]) -> None:
