@@ -1,6 +1,6 @@
 """Halls mapped in two sessions and merged: is the map as good as one of it all, are others refused?
 
-Usage: python benchmarks/merge.py [KIND:SEED:AREA_M2 ...] [--poses 40] [--pairs]
+Usage: python benchmarks/merge.py [KIND:SEED:AREA_M2 ...] [--poses 40] [--pairs | --apart]
 """
 
 from __future__ import annotations
@@ -26,16 +26,19 @@ _HEAD = (
 
 
 def main(argv: list[str]) -> int:
-    """Prints the table, and with ``--pairs`` what became of all wrong pairs."""
+    """Prints the table, or what became of pairs that need not or must not be merged."""
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
     parser.add_argument("places", nargs="*", default=_PLACES, metavar="KIND:SEED:AREA_M2")
     parser.add_argument("--poses", type=int, default=40)
     parser.add_argument("--pairs", action="store_true", help="merge each hall with all others")
+    parser.add_argument("--apart", action="store_true", help="merge parts driven only once")
     arguments = parser.parse_args(argv)
     places = [_place(text) for text in arguments.places]
     begun_s = time.process_time()
     if arguments.pairs:
         _pairs(places)
+    elif arguments.apart:
+        _apart(places)
     else:
         print(f"| {' | '.join(_HEAD)} |\n|{'---|' * len(_HEAD)}")
         for place in places:
@@ -47,6 +50,17 @@ def main(argv: list[str]) -> int:
 def _place(text: str) -> Place:
     kind, seed, area_m2 = text.split(":")
     return kind, int(seed), float(area_m2)
+
+
+def _apart(places: list[Place]) -> None:
+    false = 0
+    for place in places:
+        off_m, why = merging.apart(place)
+        false += why == "FALSE"
+        print(
+            f"{place}: {why if off_m is None else f'merged, {off_m:.2f} m off: {why}'}", flush=True
+        )
+    print(f"{false} of {len(places)} were merged wrongly")
 
 
 def _pairs(places: list[Place]) -> None:

@@ -276,9 +276,7 @@ def test_a_held_map_grows_on_and_stays_to_the_last_bit(hall: Hall, tmp_path: Pat
         np.testing.assert_array_equal(new.sums[new.find(old.keys)], old.sums)
     refused = amr_slam("replay", hall.log, "--config", hall.config, "--hold")
     assert refused.status == 2
-    assert error_line(refused) == (
-        "amr-slam: error: --hold needs --map and --mapping: a map that grows on"
-    )
+    assert error_line(refused) == "--hold needs --map and --mapping: a map that grows on"
 
 
 def test_a_carmen_log_needs_no_configuration(hall: Hall, tmp_path: Path) -> None:

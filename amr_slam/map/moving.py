@@ -31,7 +31,9 @@ def moved(known: PointMap, new_from_old: Pose2) -> PointMap:
 def carry_forgotten(known: PointMap, fresh: PointMap, new_from_old: Pose2) -> None:
     """Bring into ``fresh``, moved cell by cell, what only such scans of ``known`` have seen whose
     rays were forgotten."""
-    _carry(known, known.rebuilt([pose for _, pose in known.path]), fresh, new_from_old)
+    if not all(len(rays) for rays in known.rays):
+        told = known.rebuilt([pose for _, pose in known.path])
+        _carry(known, told, fresh, new_from_old)
 
 
 def _carry(known: PointMap, told: PointMap, fresh: PointMap, new_from_old: Pose2) -> None:

@@ -25,6 +25,7 @@ from amr_slam.merging import Found, MergeError, MergeParams, find, join
 from amr_slam.params import SlamParams
 from amr_slam.simulation import World, mapping_poses, take_scan
 from amr_slam.simulation.aisles import warehouse
+from amr_slam.simulation.buildings import alike_rooms
 from amr_slam.studies.scenes import is_right
 from amr_slam.studies.worlds import KINDS
 
@@ -32,6 +33,9 @@ PARAMS: Final = SlamParams()
 _SPACING_M: Final = 0.8
 _FIRST, _SECOND = (0.0, 0.6), (0.4, 1.0)
 """Parts of the tour."""
+_HERE, _THERE = (0.0, 0.4), (0.5, 0.9)
+"""Parts of the tour that are not driven twice; much of one may be seen from the other."""
+_FALSE_M: Final = 0.5
 _SCALE, _BEND_RADPM = 0.01, 0.005
 _NOISE: Final = np.array([0.01, 0.005, 0.005])
 """Of each step of the wheels."""
@@ -86,9 +90,11 @@ class Outcome:
 
 
 def world_of(place: Place) -> World:
-    """A warehouse, or one of the studies' worlds."""
+    """A warehouse, a building of rooms that are alike, or one of the studies' worlds."""
     kind, seed, area_m2 = place
-    return warehouse(seed, area_m2).world if kind == "warehouse" else KINDS[kind](seed, area_m2)
+    if kind == "warehouse":
+        return warehouse(seed, area_m2).world
+    return (alike_rooms if kind == "alike" else KINDS[kind])(seed, area_m2)
 
 
 def part(poses: Sequence[Pose2], share: tuple[float, float]) -> Sequence[Pose2]:
@@ -157,6 +163,23 @@ def halves(place: Place, tried: int) -> Outcome:
         whole=localized(world, whole, poses, tried),
         cpu_s=cpu_s,
     )
+
+
+def apart(place: Place) -> tuple[float | None, str]:
+    """Two sessions that do not drive the same way: how far off, in m, they were merged, or None,
+    and why not. More than half a metre is a false merge."""
+    world = world_of(place)
+    poses = mapping_poses(world, _SPACING_M)
+    here = session(world, part(poses, _HERE), 4, "here")
+    there = session(world, part(poses, _THERE), 5, "there")
+    try:
+        found = find(here.known, there.known, PARAMS, MergeParams(), None, _nobody)
+    except MergeError as error:
+        return None, str(error)
+    expected = align_se2(here.truth, _path(here.known)) @ there.truth[:, :2]
+    off = found.known_from_other @ _path(there.known)[:, :2] - expected
+    off_m = float(np.hypot(*off.T).max())
+    return off_m, "FALSE" if off_m > _FALSE_M else "true"
 
 
 def strangers(known: Session, other: Session) -> str | None:
