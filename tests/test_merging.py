@@ -214,6 +214,13 @@ def test_a_map_without_scans_is_refused() -> None:
         merged(PointMap(MapParams()), second)
 
 
+def test_what_is_in_a_map_already_does_not_join_it_again() -> None:
+    _, second = sessions()
+    _, merger = laboratory()
+    with pytest.raises(MergeError, match=f"{len(second.path)} scans of the second map are in"):
+        merged(merger.map, second)
+
+
 def test_as_people_call_it(tmp_path: Path) -> None:
     first, second = sessions()
     east, west, out = (tmp_path / name for name in ("east.amrmap", "west.amrmap", "hall.amrmap"))

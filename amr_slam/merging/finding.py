@@ -16,7 +16,7 @@ from annotated_types import Ge, Gt, Interval
 from amr_slam.geometry import Pose2, wrap_angle
 from amr_slam.map import PointMap
 from amr_slam.merging.overlay import Overlay, lay
-from amr_slam.merging.scans import kept_rows, spread_rows
+from amr_slam.merging.scans import kept_rows, shared_scans, spread_rows
 from amr_slam.merging.votes import Say, Votes, candidates, poll
 from amr_slam.params import SlamParams
 
@@ -109,6 +109,12 @@ def _check(known: PointMap, other: PointMap) -> None:
                 f"the {name} map keeps the rays of no scans (it is empty, or an old version made "
                 "it): map again"
             )
+    shared = shared_scans(known, other)
+    if shared:
+        raise MergeError(
+            f"{shared} scans of the second map are in the first already: they are versions of one "
+            "map ('map diff' compares them), or were merged before"
+        )
     if known.params.free_cell_m != other.params.free_cell_m:
         raise MergeError(
             f"their cells of free space differ, {known.params.free_cell_m:g} m and "

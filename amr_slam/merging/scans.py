@@ -41,3 +41,14 @@ def cloud_of(known: PointMap, row: int) -> Cloud:
 def path_poses(known: PointMap) -> Array:
     """(n, 3) map_from_base of all scans."""
     return np.array([pose.as_array() for _, pose in known.path]).reshape(-1, 3)
+
+
+def shared_scans(known: PointMap, other: PointMap) -> int:
+    """Scans of ``other`` that are in ``known``: of one stamp, with the same rays."""
+    rows = {stamp_ns: row for row, (stamp_ns, _) in enumerate(known.path)}
+    shared = 0
+    for (stamp_ns, _), rays in zip(other.path, other.rays, strict=True):
+        row = rows.get(stamp_ns)
+        if row is not None and len(rays):
+            shared += int(np.array_equal(known.rays[row].ends, rays.ends))
+    return shared
