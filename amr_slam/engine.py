@@ -133,6 +133,17 @@ class SlamEngine:
         self.utc_from_stamp_ns = 0
         """For the watcher: a cloud's stamp and this are UTC."""
         self._held: Held | None = None
+        self._resuming: Chart | None = None
+
+    def go_on(self, *, hold: bool = False) -> None:
+        """From now on the map that is loaded grows on, by its own graph if the next scan is taken
+        near the newest ones in it; anywhere else it is held for true as it is, its loops closed.
+        ``hold``: as :meth:`hold` says."""
+        self.mode = "mapping"
+        if hold:
+            self.hold()
+        else:
+            self._resuming = Chart.restored(self.params, self.map)
 
     def hold(self) -> None:
         """From now on what is in the map stays as it is, loops too; what is new joins it."""
@@ -144,6 +155,8 @@ class SlamEngine:
         empty = not self.map.path and not len(self.map)
         if self.mode == "mapping" and empty and request.map_from_base is not None:
             return self._found(request)
+        if self._resuming is not None and request.map_from_base is not None:
+            self._take_up(self._resuming, request.map_from_base)
         if request.region is not None and self.mode == "localization":
             return self._seek(request, request.region)
         prior = _prior(request)
@@ -197,6 +210,14 @@ class SlamEngine:
     def unanchored(self, row: int, pose: Pose2) -> Pose2:
         """The map_from_base, as of now, of what :meth:`anchored` gave."""
         return pose if self.chart is None or row < 0 else self.chart.pose(row) @ pose
+
+    def _take_up(self, chart: Chart, pose: Pose2) -> None:
+        """Go on with a restored chart, if the piece of the way that it ended with knows ``pose``:
+        elsewhere the next scan could neither be registered in that nor tied to its newest node."""
+        self._resuming = None
+        away_m = [pose.distance_to(known) for _, known in chart.local.path]
+        if min(away_m, default=math.inf) <= self.params.closing.beyond_m:
+            self.chart = chart
 
     def settle(self) -> None:
         """Bring ``map`` up to date, each scan to where loops have moved it: due before anybody

@@ -343,9 +343,8 @@ class _Server:
     def _grow(self, job: SlamJob) -> Switched:
         self.save()
         self._changes = self._engine.watcher = None
-        self._job, self._engine.mode = job, job.mode
-        if job.hold:
-            self._engine.hold()
+        self._job = job
+        self._engine.go_on(hold=job.hold)
         self.keeper = _Keeper(job, self._engine.map, self._engine.settle)
         return Switched(job=job, ready=self.ready())
 

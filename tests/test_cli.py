@@ -266,6 +266,20 @@ def test_mapping_goes_on_with_a_map_and_keeps_the_older_version(hall: Hall, tmp_
     assert Path(f"{target}.1").read_bytes() == hall.map.read_bytes()
 
 
+def test_a_held_map_grows_on_and_stays_to_the_last_bit(hall: Hall, tmp_path: Path) -> None:
+    target = tmp_path / "grown.amrmap"
+    arguments = ["--map", hall.map, "--mapping", "--hold", "--map-out", target]
+    done = amr_slam("replay", hall.log, "--config", hall.config, *arguments)
+    assert (done.status, done.err) == (0, "")
+    before, after = load_map(hall.map)[0], load_map(target)[0]
+    assert len(after.path) > len(before.path)
+    for old, new in ((before.walls, after.walls), (before.space, after.space)):
+        np.testing.assert_array_equal(new.sums[new.find(old.keys)], old.sums)
+    refused = amr_slam("replay", hall.log, "--config", hall.config, "--hold")
+    assert refused.status == 2
+    assert error_line(refused) == "--hold needs --map and --mapping: a map that grows on"
+
+
 def test_a_carmen_log_needs_no_configuration(hall: Hall, tmp_path: Path) -> None:
     out = tmp_path / "out.tum"
     done = amr_slam("replay", hall.carmen, "--lidar", "-0.2,0,180", "--out", out)

@@ -116,7 +116,12 @@ def test_mapping_that_was_cut_off_goes_on_in_the_same_map(tmp_path: Path) -> Non
             poses = daemon.next_poses(50)
             assert {b.seq - a.seq for a, b in itertools.pairwise(poses)} == {1}
             assert daemon.stop() == 0
-        assert len(load_map(daemon.map_path)[0].path) > scans
+        grown, _ = load_map(daemon.map_path)
+        assert len(grown.path) > scans
+        # The pose graph goes on too: each scan is tied to the one before, new ones as well.
+        ties = grown.ties
+        steps = ties.ends[~ties.loops & (ties.ends == ties.starts + 1)]
+        assert len(steps) == len(grown.path) - 1
         # It is one map, not a new one beside the old.
         assert not daemon.map_path.with_name("hall.amrmap.1").exists()
 

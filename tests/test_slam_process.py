@@ -20,7 +20,7 @@ import pytest
 from labs import cloud_at, lab, mapped_lab, tour_poses
 
 from amr_slam import slam_process
-from amr_slam.engine import SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
 from amr_slam.geometry import Pose2
 from amr_slam.map import load_map, save_map
 from amr_slam.map.export import occupancy_image
@@ -193,6 +193,36 @@ def test_a_map_grows_on_once_it_may(tmp_path: Path) -> None:
         assert line.heard() == Saved(map_scans=2, error=None)
     assert len(load_map(job.target)[0].path) == 2
     assert not (tmp_path / "hall.amrmap.1").exists()
+
+
+def test_a_closed_loop_hurries_the_next_save(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server = slam_process._Server(mapping(tmp_path))
+    assert server.due_s() is None
+    server.answer(scan(0))
+    due_s = server.due_s()
+    assert due_s is not None
+    assert due_s > 3000.0
+    update = SlamEngine.update
+    monkeypatch.setattr(
+        SlamEngine, "update", lambda *a: replace(update(*a), moved=Pose2(0.1, 0.0, 0.0))
+    )
+    server.answer(scan(1))
+    soon_s = server.due_s()
+    assert soon_s is not None
+    assert 0.0 < soon_s <= 360.0  # a tenth of the period: loops come in flocks
+    server.answer(scan(2))
+    again_s = server.due_s()
+    assert again_s is not None
+    assert again_s <= soon_s
+    # The next one is a whole period away again.
+    assert server.save() == Saved(map_scans=3, error=None)
+    monkeypatch.setattr(SlamEngine, "update", update)
+    server.answer(scan(3))
+    due_s = server.due_s()
+    assert due_s is not None
+    assert due_s > 3000.0
 
 
 def test_what_was_mapped_is_saved_before_another_job_begins(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import math
 import sys
@@ -14,7 +15,6 @@ import numpy as np
 
 from amr_slam.aligning import AlignError
 from amr_slam.cli import living
-from amr_slam.cli.editing import edit
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.map import LayerError, MapError, PointMap, load_map, save_map
 from amr_slam.map.export import (
@@ -24,7 +24,7 @@ from amr_slam.map.export import (
     write_points_ply,
 )
 from amr_slam.map.file import VERSION
-from amr_slam.map.provenance import to_header
+from amr_slam.map.provenance import merged_to_header, to_header
 from amr_slam.recording import RecordingError, Trajectory, write_tum
 
 FAILURES: Final[dict[type[Exception], int]] = {
@@ -36,19 +36,21 @@ FAILURES: Final[dict[type[Exception], int]] = {
     **living.FAILURES,
 }
 
+_OF_THEIR_OWN: Final = {
+    "align": "amr_slam.cli.aligning",
+    "edit": "amr_slam.cli.editing",
+    "merge": "amr_slam.cli.merging",
+    "report": "amr_slam.cli.reporting",
+}
+"""Module with the function of that name: what these need is imported for them alone."""
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Load the map, then what is asked."""
-    if arguments.action == "align":
-        from amr_slam.cli.aligning import align  # noqa: PLC0415 - scipy and more, for this alone
-
-        return align(arguments)
-    if arguments.action == "edit":
-        return edit(arguments)
-    if arguments.action == "report":
-        from amr_slam.cli.reporting import report  # noqa: PLC0415 - jinja2 and more, for this alone
-
-        return report(arguments)
+    if arguments.action in _OF_THEIR_OWN:
+        command = importlib.import_module(_OF_THEIR_OWN[arguments.action])
+        status: int = getattr(command, arguments.action)(arguments)
+        return status
     if arguments.action in living.ACTIONS:
         return living.run(arguments)
     if arguments.action != "info":
@@ -95,12 +97,15 @@ def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> 
         facts["layers"] = len(known.layers)
     if known.reframings:
         facts["reframings"] = to_header(known.reframings)
+    if known.merged:
+        facts["merged"] = merged_to_header(known.merged)
     if arguments.json:
         sys.stdout.write(json.dumps(facts) + "\n")
         return
     facts["area_m2"] = f"{known.area_m2():.1f} (floor seen free)"
     facts["bounds_m"] = f"x {x_min:.2f} to {x_max:.2f}, y {y_min:.2f} to {y_max:.2f}"
     facts.pop("reframings", None)
+    facts.pop("merged", None)
     if known.imported is not None:
         facts["imported"] = (
             f"from {known.imported.source}: cells of {known.imported.resolution_m:g} m, walls "
@@ -114,6 +119,13 @@ def _info(arguments: argparse.Namespace, known: PointMap, map_id: uuid.UUID) -> 
             f"aligned   from {one.map_id} by {one.by}: "
             f"x {one.x_m:+.3f} m, y {one.y_m:+.3f} m, theta {theta_deg:+.3f} deg; "
             f"rms {one.rms_m:.3f} m, {one.used} used, {one.left_out} left out\n"
+        )
+    for joined in known.merged:
+        theta_deg = math.degrees(joined.theta_rad)
+        sys.stdout.write(
+            f"merged    with {joined.name}, {joined.map_id}: {joined.scans} scans, from "
+            f"x {joined.x_m:+.3f} m, y {joined.y_m:+.3f} m, theta {theta_deg:+.3f} deg; "
+            f"{joined.common_m2:.0f} m2 in common, rms {joined.rms_m:.3f} m\n"
         )
 
 

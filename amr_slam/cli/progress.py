@@ -56,3 +56,28 @@ class Progress(OneLine):
             f"{self._what}: {done_s / self._total_s:4.0%}  "
             f"{done_s:.0f} of {self._total_s:.0f} s  {speed:.0f} x real time"
         )
+
+
+class Steps(OneLine):
+    """What is under way, on standard error: one line that is written over on a terminal."""
+
+    def __init__(self, what: str, *, elsewhere: bool = False) -> None:
+        """``elsewhere``: a line for each step where that is no terminal."""
+        super().__init__(shown=sys.stderr.isatty())
+        self._what, self._elsewhere = what, elsewhere
+        self._begun_s = time.perf_counter()
+        self._written_s = 0.0
+        self._step = ""
+
+    def say(self, step: str, share: float | None) -> None:
+        """``share`` of the step is done; None where nobody knows."""
+        now_s = time.perf_counter()
+        if step == self._step and (not self._shown or now_s - self._written_s < PERIOD_S):
+            return
+        self._step, self._written_s = step, now_s
+        done = "" if share is None else f" {share:.0%}"
+        line = f"{self._what}: {now_s - self._begun_s:4.0f} s  {step}{done if self._shown else ''}"
+        if self._shown:
+            self._write(line)
+        elif self._elsewhere:
+            sys.stderr.write(f"{line}\n")

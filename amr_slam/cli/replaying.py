@@ -49,8 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.no_loops:
         params = replace(params, closing=replace(params.closing, enabled=False))
     engine = SlamEngine(params, grown, "mapping" if mapping else "localization")
-    if arguments.hold:
-        engine.hold()
+    if mapping and arguments.map is not None:
+        engine.go_on(hold=arguments.hold)
     first_ns, last_ns = source.samples[0].stamp_ns, source.samples[-1].stamp_ns
     with Progress("replay", first_ns, last_ns) as progress:
         result = replay(source.samples, localizer, engine, progress.at)

@@ -6,7 +6,6 @@ import argparse
 import hashlib
 import json
 import sys
-import time
 from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from amr_slam.cli.outputs import UsageError, check_outputs, writing
-from amr_slam.cli.progress import PERIOD_S, OneLine
+from amr_slam.cli.progress import Steps
 from amr_slam.commissioning import Eye, ReportError, ReportParams, make_report, usual_eyes
 from amr_slam.commissioning.about import About
 from amr_slam.commissioning.machine import facts
@@ -38,7 +37,7 @@ def report(arguments: argparse.Namespace) -> int:
     if arguments.poses is not None:
         params = replace(params, cold_starts=arguments.poses, suspects=arguments.poses // 3)
     slam = config.slam if config is not None else SlamParams()
-    with _Steps() as steps:
+    with Steps("report", elsewhere=True) as steps:
         try:
             found = make_report(known, _eyes(config), slam, params, steps.say)
         except ReportError as error:
@@ -87,26 +86,3 @@ def _robot(config: Config | None) -> str:
         return "two scanners of 270° at opposite corners (no --config was given)"
     count = len(config.scanners)
     return f"{config.robot.name}, {count} {'scanner' if count == 1 else 'scanners'}"
-
-
-class _Steps(OneLine):
-    """What is under way, on standard error: one line that is written over on a terminal, and a
-    line for each step elsewhere."""
-
-    def __init__(self) -> None:
-        super().__init__(shown=sys.stderr.isatty())
-        self._begun_s = time.perf_counter()
-        self._written_s = 0.0
-        self._step = ""
-
-    def say(self, step: str, share: float | None) -> None:
-        now_s = time.perf_counter()
-        if step == self._step and (not self._shown or now_s - self._written_s < PERIOD_S):
-            return
-        self._step, self._written_s = step, now_s
-        done = "" if share is None else f" {share:.0%}"
-        line = f"report: {now_s - self._begun_s:4.0f} s  {step}{done if self._shown else ''}"
-        if self._shown:
-            self._write(line)
-        else:
-            sys.stderr.write(f"{line}\n")

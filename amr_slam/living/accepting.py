@@ -77,7 +77,7 @@ def accept(known: PointMap, watcher: Watcher, chosen: Sequence[MapChange]) -> Ac
     )
     taken = tuple(change for change in chosen if change not in left)
     for change in (one for one in taken if one.kind == "gone"):
-        _clear(fresh, change)
+        clear(fresh, change)
     for change in (one for one in taken if one.kind == "new"):
         _put(fresh, change, seen[change.number])
     fresh.revision += 1
@@ -94,7 +94,8 @@ def _widened(space: SparseGrid, cells_m: Array) -> Keys:
 # -- what is gone
 
 
-def _clear(fresh: PointMap, change: MapChange) -> None:
+def clear(fresh: PointMap, change: MapChange) -> None:
+    """Take what is gone out of a map: its wall, and the rays that ended on it."""
     space, walls = fresh.space, fresh.walls
     wall_cells = space.keys_of(walls.sums[:, 1:3].astype(np.float64) / walls.sums[:, :1])
     gone = _with_crumbs(space, np.unique(wall_cells), space.keys_of(change.cells_m))
@@ -153,6 +154,14 @@ def _drop_ends(fresh: PointMap, cells: Keys) -> None:
 
 
 def _put(fresh: PointMap, change: MapChange, seen: Sequence[Sighting]) -> None:
+    make_room(fresh, change)
+    every = max(1, -(-len(seen) // _MOST_SCANS))
+    for part in seen[::-1][::every][::-1]:
+        fresh.insert(part.rays.cloud(part.stamp_ns, part.sigma_m), part.map_from_base)
+
+
+def make_room(fresh: PointMap, change: MapChange) -> None:
+    """Take back that a map has seen floor where something new stands, for what shows it to join."""
     space = fresh.space
     stands = space.keys_of(change.cells_m)
     for row, ((_, pose), rays) in enumerate(zip(fresh.path, fresh.rays, strict=True)):
@@ -160,9 +169,6 @@ def _put(fresh: PointMap, change: MapChange, seen: Sequence[Sighting]) -> None:
             fresh.rays[row] = _cut(space, pose, rays, change, stands)
     rows = space.find(stands)
     space.sums[rows[rows >= 0], 0] = 0.0
-    every = max(1, -(-len(seen) // _MOST_SCANS))
-    for part in seen[::-1][::every][::-1]:
-        fresh.insert(part.rays.cloud(part.stamp_ns, part.sigma_m), part.map_from_base)
 
 
 def _cut(space: SparseGrid, pose: Pose2, rays: Rays, change: MapChange, stands: Keys) -> Rays:

@@ -5,7 +5,7 @@ from amr_slam.map.layers import Edit, Layer, LayerError, LayerKind, Layers
 from amr_slam.map.moving import moved
 from amr_slam.map.params import MapParams
 from amr_slam.map.pointmap import PointMap
-from amr_slam.map.provenance import Imported, Reframing
+from amr_slam.map.provenance import Imported, Merged, Reframing
 from amr_slam.map.versions import LoadedMap, load_newest, roll_back
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "LoadedMap",
     "MapError",
     "MapParams",
+    "Merged",
     "PointMap",
     "Reframing",
     "load_map",

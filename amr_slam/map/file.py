@@ -25,7 +25,13 @@ from amr_slam.geometry import Pose2
 from amr_slam.map import layers
 from amr_slam.map.params import MapParams
 from amr_slam.map.pointmap import PointMap
-from amr_slam.map.provenance import from_header, imported_from_header, to_header
+from amr_slam.map.provenance import (
+    from_header,
+    imported_from_header,
+    merged_from_header,
+    merged_to_header,
+    to_header,
+)
 from amr_slam.map.rays import Rays, nothing
 from amr_slam.map.ties import MapTies
 
@@ -132,6 +138,8 @@ def encode(grown: PointMap) -> tuple[bytes, uuid.UUID]:
     }
     if grown.reframings:
         header["reframings"] = to_header(grown.reframings)
+    if grown.merged:
+        header["merged"] = merged_to_header(grown.merged)
     if grown.imported is not None:
         header["imported"] = asdict(grown.imported)
     if drawn:
@@ -247,6 +255,7 @@ def _build(header: dict[str, Any], body: bytes, start: int) -> tuple[PointMap, u
     grown = PointMap(_params(header["params"]), str(header["name"]))
     _fill(grown, arrays)
     grown.reframings = from_header(header.get("reframings", []))
+    grown.merged = merged_from_header(header.get("merged", []))
     grown.imported = imported_from_header(header.get("imported"))
     grown.layers = layers.from_header(header.get("layers", []))
     return grown, uuid.UUID(str(header["uuid"]))

@@ -20,13 +20,26 @@ def moved(known: PointMap, new_from_old: Pose2) -> PointMap:
     poses = [new_from_old @ pose for _, pose in known.path]
     told = known.rebuilt([pose for _, pose in known.path])
     fresh = known.rebuilt(poses)
-    _move_walls(known.walls, told.walls, fresh.walls, new_from_old)
-    _move_space(known.space, told.space, fresh.space, new_from_old)
+    _carry(known, told, fresh, new_from_old)
     fresh.path = [(stamp_ns, pose) for (stamp_ns, _), pose in zip(known.path, poses, strict=True)]
     fresh.layers = known.layers.moved(new_from_old)
     fresh.noises_m, fresh.rays = list(known.noises_m), list(known.rays)
     fresh.revision += 1
     return fresh
+
+
+def carry_forgotten(known: PointMap, fresh: PointMap, new_from_old: Pose2) -> None:
+    """Bring into ``fresh``, moved cell by cell, what only such scans of ``known`` have seen whose
+    rays were forgotten."""
+    if not all(len(rays) for rays in known.rays):
+        told = known.rebuilt([pose for _, pose in known.path])
+        _carry(known, told, fresh, new_from_old)
+
+
+def _carry(known: PointMap, told: PointMap, fresh: PointMap, new_from_old: Pose2) -> None:
+    """``told``: ``known`` as its rays alone make it."""
+    _move_walls(known.walls, told.walls, fresh.walls, new_from_old)
+    _move_space(known.space, told.space, fresh.space, new_from_old)
 
 
 def _move_walls(old: SparseGrid, told: SparseGrid, new: SparseGrid, new_from_old: Pose2) -> None:

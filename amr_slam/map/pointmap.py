@@ -54,6 +54,16 @@ class PointMap(SeenMap):
         self._undrawn += 1
         self.revision += 1
 
+    def append_all(self, other: PointMap, poses: Sequence[Pose2]) -> None:
+        """Add all scans of another map, each at its pose (map_from_base) in this one, to be drawn
+        like those of :meth:`append`. What only forgotten scans saw does not come along."""
+        path = zip(other.path, poses, strict=True)
+        self.path += [(stamp_ns, pose) for (stamp_ns, _), pose in path]
+        self.noises_m += other.noises_m
+        self.rays += other.rays
+        self._undrawn += len(other.path)
+        self.revision += 1
+
     def _draw_appended(self) -> None:
         waiting, self._undrawn = self._undrawn, 0
         for first in range(len(self.path) - waiting, len(self.path), _BATCH):
@@ -73,6 +83,7 @@ class PointMap(SeenMap):
         order. What only a forgotten scan saw is not in it."""
         fresh = PointMap(self.params, self.name)
         fresh.reframings, fresh.imported = self.reframings, self.imported
+        fresh.merged = self.merged
         fresh.layers, fresh.ties = self.layers, self.ties
         path = zip(self.path, poses, strict=True)
         fresh.path = [(stamp_ns, pose) for (stamp_ns, _), pose in path]

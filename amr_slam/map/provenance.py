@@ -11,6 +11,7 @@ from amr_slam.geometry import Pose2
 
 MAX_REFRAMINGS: Final = 16
 """A map's file tells the last ones; its header is bounded."""
+MAX_MERGED: Final = 64
 _MAX_TEXT: Final = 200
 _MAX_ERROR_M: Final = 10.0
 
@@ -42,6 +43,26 @@ class Reframing:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Merged:
+    """Another map's scans joined a map, all at once."""
+
+    map_id: str
+    """UUID of that map ..."""
+    name: str
+    """... and its name."""
+    x_m: float
+    """The frame of then from that map's ..."""
+    y_m: float
+    theta_rad: float
+    rms_m: float
+    """How far its scans were found from where that motion has them."""
+    scans: int
+    """That joined; they come last in the path, before what joined later."""
+    common_m2: float
+    """Floor that both had seen."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Imported:
     """A map began as another program's picture."""
 
@@ -66,6 +87,18 @@ def imported_from_header(raw: object) -> Imported | None:
     return Imported(**known)
 
 
+def merged_to_header(merged: Sequence[Merged]) -> list[dict[str, Any]]:
+    """What stands in a map file's header, oldest first."""
+    return [asdict(one) for one in merged[-MAX_MERGED:]]
+
+
+def merged_from_header(raw: object) -> tuple[Merged, ...]:
+    """The other way. Raises ValueError, TypeError or KeyError for anything else."""
+    if not isinstance(raw, list) or len(raw) > MAX_MERGED:
+        raise ValueError(f"merged must be a list of at most {MAX_MERGED}")
+    return tuple(Merged(**_told(entry, Merged, ("map_id", "name"), ("scans",))) for entry in raw)
+
+
 def to_header(reframings: Sequence[Reframing]) -> list[dict[str, Any]]:
     """What stands in a map file's header, oldest first."""
     return [asdict(one) for one in reframings[-MAX_REFRAMINGS:]]
@@ -75,19 +108,23 @@ def from_header(raw: object) -> tuple[Reframing, ...]:
     """The other way. Raises ValueError, TypeError or KeyError for anything else."""
     if not isinstance(raw, list) or len(raw) > MAX_REFRAMINGS:
         raise ValueError(f"reframings must be a list of at most {MAX_REFRAMINGS}")
-    return tuple(_checked(entry) for entry in raw)
+    return tuple(
+        Reframing(**_told(entry, Reframing, ("map_id", "by"), ("used", "left_out")))
+        for entry in raw
+    )
 
 
-def _checked(entry: Any) -> Reframing:
-    # What a newer version adds is none of ours.
-    known = {field.name: entry[field.name] for field in fields(Reframing)}
-    texts = [known[name] for name in ("map_id", "by")]
-    numbers = [known[name] for name in ("x_m", "y_m", "theta_rad", "rms_m", "scale")]
-    counts = [known[name] for name in ("used", "left_out")]
+def _told(
+    entry: Any, kind: type[Reframing | Merged], texts: Sequence[str], counts: Sequence[str]
+) -> dict[str, Any]:
+    """The fields of ``kind``, of which all but ``texts`` and ``counts`` are numbers. What a newer
+    version adds is none of ours."""
+    known = {field.name: entry[field.name] for field in fields(kind)}
+    numbers = [known[name] for name in known if name not in {*texts, *counts}]
     if not (
-        all(isinstance(text, str) and len(text) <= _MAX_TEXT for text in texts)
+        all(isinstance(known[name], str) and len(known[name]) <= _MAX_TEXT for name in texts)
         and all(type(number) in {int, float} and math.isfinite(number) for number in numbers)
-        and all(type(count) is int and count >= 0 for count in counts)
+        and all(type(known[name]) is int and known[name] >= 0 for name in counts)
     ):
-        raise ValueError("a reframing must be told in texts and finite numbers")
-    return Reframing(**known)
+        raise ValueError("where a map comes from must be told in texts and finite numbers")
+    return known

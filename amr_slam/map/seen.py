@@ -15,7 +15,7 @@ from amr_slam.map.deconvolution import Deconvolution
 from amr_slam.map.grid import SparseGrid
 from amr_slam.map.layers import LayerKind, Layers
 from amr_slam.map.params import MapParams
-from amr_slam.map.provenance import Imported, Reframing
+from amr_slam.map.provenance import Imported, Merged, Reframing
 from amr_slam.map.rays import Rays
 from amr_slam.map.ties import no_ties
 from amr_slam.registration import field, rdnm
@@ -51,6 +51,8 @@ class SeenMap(abc.ABC):
         """What each of these scans saw; nothing where it was forgotten for the memory's sake."""
         self.reframings: tuple[Reframing, ...] = ()
         """How its frame became what it is, oldest first; none where a run's start is the origin."""
+        self.merged: tuple[Merged, ...] = ()
+        """Other maps whose scans are in it, in the order in which they joined."""
         self.imported: Imported | None = None
         """The picture that it began as, if another program made it."""
         self.layers = Layers()

@@ -97,10 +97,7 @@ def startup(
     opened.callback(recorder.close)
     memory = config.map.directory / f"{config.robot.name}.lastpose"
     recollection = Recollection(memory)
-    job, wanted = _job(config), None
-    cut_off = recollection.cut_off == job.name
-    if job.target is not None and (cut_off or config.map.extend) and job.target.exists():
-        job, wanted = localizing_first(job), replace(job, source=job.target, saved_before=cut_off)
+    job, wanted = first_jobs(config, recollection.cut_off)
     inbox: queue.SimpleQueue[_Item] = queue.SimpleQueue()
     worker = SlamWorker(job, inbox.put, config.service.answer_limit_s, started)
     opened.callback(_stop_worker, worker, inbox)
@@ -313,6 +310,17 @@ class _Signals:
             self._saving_wanted = True
         else:
             self.number = self.number or number
+
+
+def first_jobs(config: Config, cut_off: str | None) -> tuple[SlamJob, SlamJob | None]:
+    """What to begin with, and the mapping that follows once the robot is found in its map.
+
+    ``cut_off``: name of the map whose mapping the last run did not end by itself."""
+    job = _job(config)
+    again = cut_off == job.name
+    if job.target is None or not (again or config.map.extend) or not job.target.exists():
+        return job, None
+    return localizing_first(job), replace(job, source=job.target, saved_before=again)
 
 
 def _job(config: Config) -> SlamJob:

@@ -24,6 +24,7 @@ from amr_slam.living import (
     resume_watching,
     save_changes,
 )
+from amr_slam.living.evidence import Evidence
 from amr_slam.living.file import MAGIC, decode, encode
 from amr_slam.map import moved
 
@@ -171,3 +172,26 @@ def test_other_frame_is_refused() -> None:
     known = mapped()
     with pytest.raises(OtherFrameError, match="different frames"):
         compare_maps(known, moved(known, Pose2(3.0, 1.0, 0.7)), "other")
+
+
+def test_where_cells_are_too_many_the_least_certain_go_first() -> None:
+    params = WatchParams(most_cells=100)
+    evidence, minute_ns = Evidence(params), 60_000_000_000
+    certain, none = np.arange(0, 160, 2), np.empty(0, dtype=np.int64)
+    for number in range(4):  # two passes, of two scans each
+        now_ns = minute_ns * (1 + 10 * (number // 2) + number % 2)
+        evidence.note(certain, none, now_ns)
+    assert set(evidence.shown()["passes"]) == {2}
+    later_ns = 40 * minute_ns
+    evidence.note(np.arange(1, 31, 2), none, later_ns)
+    assert len(evidence) == 95
+    evidence.note(np.arange(31, 61, 2), none, later_ns + minute_ns)
+    # Ten of the hundred are made free. All that is certain is there, and the newest of the rest.
+    keys = evidence.rows["key"]
+    assert len(keys) == 90
+    assert np.all(np.diff(keys) > 0)
+    assert set(certain) <= set(keys)
+    assert np.all(keys[keys % 2 == 1] > 30)
+    # What was seen once goes by itself once its pass is over.
+    evidence.tidy(later_ns + 10 * minute_ns)
+    np.testing.assert_array_equal(evidence.rows["key"], certain)

@@ -18,7 +18,15 @@ from hypothesis import strategies as st
 from labs import cloud_at, room
 
 from amr_slam.geometry import Pose2
-from amr_slam.map import MapError, MapParams, PointMap, Reframing, load_map, save_map
+from amr_slam.map import (
+    MapError,
+    MapParams,
+    Merged,
+    PointMap,
+    Reframing,
+    load_map,
+    save_map,
+)
 from amr_slam.map.file import MAGIC, MAX_CONTENT_BYTES, VERSION, decode, encode
 
 Header = dict[str, Any]
@@ -337,3 +345,19 @@ def test_damaged_words_about_the_frame_are_refused(damage: object) -> None:
     data = forged(json.dumps(header | {"reframings": damage}).encode(), content)
     with pytest.raises(MapError, match="makes no sense"):
         decode(data)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    ["no list", [{}], [{"x_m": "1"}], [{"rms_m": None}], [{"scans": -1}], [{"name": 3}], [{}] * 65],
+)
+def test_damaged_words_about_merged_maps_are_refused(damage: object) -> None:
+    header, content = parts()
+    told = Merged(map_id="m", name="west", x_m=1.0, y_m=2.0, theta_rad=0.1, rms_m=0.01, scans=3,
+                  common_m2=20.0)  # fmt: skip
+    good = forged(json.dumps(header | {"merged": [asdict(told)]}).encode(), content)
+    assert decode(good)[0].merged == (told,)
+    if isinstance(damage, list) and len(damage) == 1 and damage[0]:
+        damage = [asdict(told) | damage[0]]
+    with pytest.raises(MapError, match="makes no sense"):
+        decode(forged(json.dumps(header | {"merged": damage}).encode(), content))
