@@ -11,12 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final
 
+import numpy as np
 from annotated_types import Ge, Gt, Interval
 
-from amr_slam.geometry import Pose2, wrap_angle
+from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.map import PointMap
 from amr_slam.merging.overlay import Overlay, lay
-from amr_slam.merging.scans import kept_rows, shared_scans, spread_rows
+from amr_slam.merging.scans import kept_rows, path_poses, shared_scans, spread_rows
 from amr_slam.merging.votes import Say, Votes, candidates, poll
 from amr_slam.params import SlamParams
 
@@ -83,15 +84,16 @@ def find(
     """Where ``other`` lies in ``known``. ``near``: known_from_other, as a person has it; only about
     there is looked. Raises MergeError."""
     _check(known, other)
+    middle = path_poses(other)[:, :2].mean(axis=0)
     votes = poll(known, other, spread_rows(other, rules.looks), params, near, say)
     if near is not None and len(votes.odds):
-        votes = votes.within(lambda way: _is_near(way, near, rules))
+        votes = votes.within(lambda way: _is_near(way, near, middle, rules))
     ways = candidates(votes, rules.ways)
     laid: list[Overlay] = []
     for done, way in enumerate(ways):
         say("laying the maps on each other", done / len(ways))
         overlay = lay(known, other, way, rules.judged, params)
-        if overlay is not None and not any(_same(overlay, before) for before in laid):
+        if overlay is not None and not any(_same(overlay, before, middle) for before in laid):
             laid.append(overlay)
     laid.sort(key=lambda one: -one.evidence)
     return _judged(votes, laid, rules, near)
@@ -122,15 +124,23 @@ def _check(known: PointMap, other: PointMap) -> None:
         )
 
 
-def _is_near(way: Pose2, near: Pose2, rules: MergeParams) -> bool:
+def _is_near(way: Pose2, near: Pose2, middle: Array, rules: MergeParams) -> bool:
+    """By the second map's origin, which the hint tells of, or by its middle: the origin of a site
+    may lie far from the hall, where the least turn moves it by metres."""
     turn = abs(wrap_angle(way.theta_rad - near.theta_rad))
-    return way.distance_to(near) <= rules.near_m and turn <= rules.near_rad
+    off_m = min(way.distance_to(near), _off_m(way, near, middle))
+    return off_m <= rules.near_m and turn <= rules.near_rad
 
 
-def _same(one: Overlay, before: Overlay) -> bool:
-    """By where most of the scans come to lie."""
-    off = before.known_from_other.inverse() @ one.known_from_other
-    return math.hypot(off.x_m, off.y_m) <= _SAME_M and abs(off.theta_rad) <= _SAME_RAD
+def _same(one: Overlay, before: Overlay, middle: Array) -> bool:
+    """By where the middle of the scans comes to lie."""
+    a, b = one.known_from_other, before.known_from_other
+    turn = abs(wrap_angle(a.theta_rad - b.theta_rad))
+    return _off_m(a, b, middle) <= _SAME_M and turn <= _SAME_RAD
+
+
+def _off_m(one: Pose2, other: Pose2, place: Array) -> float:
+    return float(np.hypot(*(one @ place[np.newaxis] - other @ place[np.newaxis])[0]))
 
 
 def _judged(
