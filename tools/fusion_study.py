@@ -6,9 +6,9 @@ Example, a quick look: python tools/fusion_study.py --scale 0.05 --only promise 
 from __future__ import annotations
 
 import argparse
+import os
 import platform
 import sys
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -43,7 +43,6 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.logs is not None:
         studies["recordings"] = partial(recordings.study, logs=arguments.logs)
-    begun_s = time.process_time()
     effort = Effort(
         scale=arguments.scale,
         seed=arguments.seed,
@@ -62,7 +61,7 @@ def main() -> int:
             "when wheels slip or scans fail. Written by "
             f"`python tools/fusion_study.py --logs FOLDER{share}`, seed {arguments.seed}; "
             f"Python {platform.python_version()}, numpy {np.__version__}; "
-            f"{(time.process_time() - begun_s) / 60.0:.0f} min of processor time."
+            f"{sum(os.times()[:4]) / 60.0:.0f} min of processor time."
         )
         write_page("The fused pose between scans", preface, sections, arguments.out)
     return 0
