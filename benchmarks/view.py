@@ -28,6 +28,7 @@ from playwright.sync_api import CDPSession, Page
 from amr_slam.studies.browsing import browser, read, view_process, wait_for
 from amr_slam.studies.fleet.processes import program
 
+START_S = 400.0  # processors may be busy
 WARM_S = 20.0
 SAMPLE_S = 15.0
 RECORD_FRAMES = """() => {
@@ -75,7 +76,7 @@ def measure(robots: int, hz: float, minutes: float) -> dict[str, Any]:
         view = opened.enter_context(view_process(endpoint))
         page = opened.enter_context(browser()).new_page(viewport={"width": 1440, "height": 900})
         page.goto(view.address)
-        wait_for(page, f"v.layer.map && v.store.robots.size >= {robots}")
+        wait_for(page, f"v.layer.map && v.store.robots.size >= {robots}", START_S)
         read(page, "v.choose('amr01')")
         page.wait_for_timeout(1000.0 * WARM_S)
         page.evaluate(RECORD_FRAMES)

@@ -70,6 +70,8 @@ def _pose_for(page: Page, name: str) -> None:
     read(page, f"v.choose('{robot}')")
     page.keyboard.press("0")
     page.wait_for_timeout(1500.0)
+    # On a busy computer robots come late, and are shown so.
+    wait_for(page, "v.store.shown().every(({ state }) => state !== 'stale')")
 
 
 def _ask(page: Page) -> None:

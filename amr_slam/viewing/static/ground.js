@@ -20,7 +20,8 @@ class Picture {
 
   /** Ready to be painted, as large as the screen's. */
   begin({ width, height }, ratio) {
-    const [columns, rows] = [Math.round(width * ratio), Math.round(height * ratio)];
+    // Nothing is copied from a picture without pixels.
+    const [columns, rows] = [width, height].map((side) => Math.max(1, Math.round(side * ratio)));
     if (this.canvas.width !== columns) this.canvas.width = columns;
     if (this.canvas.height !== rows) this.canvas.height = rows;
     this.ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
