@@ -147,4 +147,5 @@ in that map, with scans every 2 s (0.5 m apart), through engine and localizer as
 truth is laid on the map by the whole path of the first drive. In laboratories errors are near to
 white and smaller than claimed; in halls and corridors the map has bent by some millimetres, which
 neighbouring fixes share over 5 to 10 m. The filter carries 5 mm and 1.5 mrad of such an error over
-5 m. Simulated walls are clean: where the map is straight, the claim is too cautious."""
+5 m. Simulated walls are clean: where the map is straight, the claim is too cautious. In corridors
+the map bends by more than that, over a longer way, and there the claim is too small."""
