@@ -184,4 +184,11 @@ def stranger_at(endpoint: str) -> Iterator[zenoh.Session]:
     config.insert_json5("connect/endpoints", json.dumps([endpoint]))
     config.insert_json5("scouting/multicast/enabled", "false")
     with zenoh.open(config) as session:
+        # What is put before the view's wishes are known here gets lost.
+        anything = session.declare_publisher("amr/amr01/status")
+        deadline = time.monotonic() + DEADLINE_S
+        while not anything.matching_status.matching:  # type: ignore[attr-defined]  # no bool
+            assert time.monotonic() < deadline, "in vain: somebody who listens"
+            time.sleep(0.01)
+        anything.undeclare()  # type: ignore[no-untyped-call]  # as in client
         yield session

@@ -20,7 +20,6 @@ from amr_drivers.emulators.odometry import EmulatedOdometry, emulate
 from amr_drivers.emulators.ports import free_port
 from amr_drivers.errors import LinkLost
 from amr_slam import config
-from amr_slam.cli import main
 from amr_slam.samples import DriveSample, OdometrySource
 from amr_slam.service import probe
 
@@ -78,9 +77,8 @@ def test_a_probe_shows_wheels_that_are_pushed(
     monkeypatch.chdir(REPO)
     monkeypatch.setattr(probe, "PROBE_S", 2.0)
     robot = told(file, str(tmp_path / "can"))
-    monkeypatch.setattr(probe, "load", lambda _: robot)
     with emulate(robot.odometry.options) as device, Pushed(device, *radps):
-        assert main(["check", "--config", str(REPO / "config" / file), "--probe"]) == 1
+        assert probe.check(robot, REPO / "config" / file, probe=True) == 1
     wheels = capsys.readouterr().out.splitlines()[-1]
     assert wheels.startswith("wheels: ")
     found = re.search(line, wheels)
