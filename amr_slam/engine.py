@@ -8,14 +8,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from amr_slam import states
-from amr_slam.agreement import fused
 from amr_slam.areas import within
-from amr_slam.arrangement import View
 from amr_slam.changes import Change, compare
 from amr_slam.clouds import Cloud
 from amr_slam.evidence import (
@@ -29,82 +26,23 @@ from amr_slam.evidence import (
     objection,
     unknown,
 )
+from amr_slam.fixing import among_others, compatible, fix_of, placed, prior_of
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.graph.chart import Chart
 from amr_slam.inspection import Inspection, Inspector, Looks
-from amr_slam.living import ChangeCounts, Watcher
+from amr_slam.living import Watcher
 from amr_slam.map import LayerKind, PointMap
 from amr_slam.map.held import Held
 from amr_slam.params import SlamParams
 from amr_slam.region import Region, slam_region
-from amr_slam.registration.icp import Prior, points_alone
-from amr_slam.samples import Motion, SlamPose
+from amr_slam.registration.icp import Prior
+from amr_slam.samples import SlamPose
 from amr_slam.slam import slam_absolute_rungs, slam_relative
+from amr_slam.slam_request import SlamRequest, SlamResult
+from amr_slam.states import Mode
 
-Mode = states.Mode
-
-# Added to the prior's covariance: scan stamps, mounting and sweep are never exact.
-_SLACK = np.diag([0.02**2, 0.02**2, 0.01**2])
-# Largest covariance that a fix may carry (m2, m2, rad2): "nothing known" in numbers.
-_FIX_LIMIT = 1e4
-_COMPATIBLE_D2 = 30.67
 # Chance that the wheels mislead even about how much they may: they never say more than that.
 _WHEELS_LIE = 1e-3
-# What walls that lie off by a metre do to a pose: rooms are some metres wide, so they turn it less.
-_BY_MAP_ERROR = np.diag([1.0, 1.0, 1.0 / 3.0**2])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SlamRequest:
-    """One instant's cloud and what the fusion knows of the pose there."""
-
-    cloud: Cloud
-    map_from_base: Pose2 | None
-    """Expected pose; None: anywhere."""
-    covariance: Array | None
-    """(3, 3) of the expected pose."""
-    also: Array | None = None
-    """(k, 3) poses to try beside what a search everywhere finds: where earlier scans said that
-    the robot may be, moved on by the wheels."""
-    views: tuple[View, ...] = ()
-    """The scanners that saw the cloud; without them their mounting is not questioned."""
-    motion: Motion | None = None
-    """What the wheels say since the last scan that was registered; None where they do not know."""
-    region: Region | None = None
-    """Localization: seek the pose here, whatever is expected."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SlamResult:
-    """The answer to one request."""
-
-    stamp_ns: int
-    answer: Answer
-    climbed: tuple[Answer, ...]
-    """What each rung of the ladder found, in the order they were climbed, ``answer`` included."""
-    fix: SlamPose | None
-    """Present where the answer is accepted."""
-    inserted: bool
-    """The scan became part of the map."""
-    map_scans: int
-    change: Change | None = None
-    """Localization: the scan against the map at the answer's pose, or where nothing was accepted
-    at the best one near the expected pose."""
-    inspection: Inspection = field(default_factory=Inspection)
-    """What the scan says of the scanners' mounting. Where it looks wrong there is no fix."""
-    sought: bool = False
-    """The answer is that of a search in the request's region."""
-    moved: Pose2 | None = None
-    """Mapping: a loop was closed. What takes the robot's pose in the map of before, of which
-    ``fix`` speaks, to that in the map of now."""
-    zone: str | None = None
-    """The scan lies in a zone without landmarks, of this name: nothing was sought."""
-    map_error_m: float = 0.0
-    """How far the map's walls may lie from where it has them: an error that all fixes share."""
-    joined_at: tuple[Pose2, Array] | None = None
-    """``inserted``: pose and covariance (3, 3) with which the scan joined the map of before."""
-    changes: ChangeCounts | None = None
-    """Localization: what has been watched of the map's changes; None where nothing is watched."""
 
 
 class SlamEngine:
@@ -159,11 +97,11 @@ class SlamEngine:
             self._take_up(self._resuming, request.map_from_base)
         if request.region is not None and self.mode == "localization":
             return self._seek(request, request.region)
-        prior = _prior(request)
+        prior = prior_of(request)
         vague = prior is not None and self._vague(prior)
         if prior is not None and vague and self.mode == "localization":
             # What fits near a guess proves nothing: it is one place among all others.
-            request, prior, vague = _among_others(request, prior), None, False
+            request, prior, vague = among_others(request, prior), None, False
         zone = None if prior is None else self._zone_around(cloud, prior.target_from_source)
         if zone is not None:
             return self._blind(cloud.stamp_ns, zone)
@@ -174,8 +112,8 @@ class SlamEngine:
         fix = None
         believed = False
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None and not wrong:
-            fix = _fix(cloud.stamp_ns, answer.best, answer.rung, prior, self.map.error_m)
-            believed = prior is not None and _compatible(fix, prior)
+            fix = fix_of(cloud.stamp_ns, answer.best, answer.rung, prior, self.map.error_m)
+            believed = prior is not None and compatible(fix, prior)
         new = fix is None and not wrong and self._new_territory(climbed[0])
         scans, moved = len(self.map.path), None
         if self.mode == "mapping":
@@ -184,7 +122,7 @@ class SlamEngine:
         result = self._result(cloud.stamp_ns, climbed, answer, fix, inserted=inserted)
         change = self._compare(cloud, climbed[0] if fix is None else answer)
         if believed and prior is not None and fix is not None and answer.best is not None:
-            pose = _placed(request, answer.rung, answer.best, fix)
+            pose = placed(request, answer.rung, answer.best, fix)
             self._watch(cloud, pose, inverse_matrix(prior.information), fix)
         counts = None if self.watcher is None else self.watcher.counts()
         return replace(result, change=change, inspection=inspection, moved=moved, changes=counts)
@@ -251,7 +189,7 @@ class SlamEngine:
         answer, fix = climbed[-1], None
         if answer.verdict is Verdict.ACCEPTED and answer.best is not None:
             error_m = self.map.error_m
-            fix = _fix(request.cloud.stamp_ns, answer.best, answer.rung, None, error_m)
+            fix = fix_of(request.cloud.stamp_ns, answer.best, answer.rung, None, error_m)
         result = self._result(request.cloud.stamp_ns, climbed, answer, fix, inserted=False)
         return replace(result, change=self._compare(request.cloud, answer), sought=True)
 
@@ -392,7 +330,7 @@ class SlamEngine:
         """What closing a loop has moved the newest pose by, if it has."""
         pose, covariance = None, request.covariance
         if believed and answer.best is not None and fix is not None and covariance is not None:
-            pose = _placed(request, answer.rung, answer.best, fix)
+            pose = placed(request, answer.rung, answer.best, fix)
             covariance = inverse_matrix(inverse_matrix(covariance) + inverse_matrix(fix.covariance))
         elif new:
             pose = request.map_from_base
@@ -442,60 +380,3 @@ class SlamEngine:
             map_error_m=self.map.error_m,
             map_scans=len(self.map.path),
         )
-
-
-def _prior(request: SlamRequest) -> Prior | None:
-    if request.map_from_base is None or request.covariance is None:
-        return None
-    return Prior(
-        target_from_source=request.map_from_base,
-        information=inverse_matrix(request.covariance + _SLACK),
-    )
-
-
-def _among_others(request: SlamRequest, prior: Prior) -> SlamRequest:
-    """The request for a search of the whole map that tries the expected pose as well."""
-    expected = prior.target_from_source.as_array()[np.newaxis]
-    others = expected if request.also is None else np.concatenate([expected, request.also])
-    return replace(request, also=others)
-
-
-def _compatible(fix: SlamPose, prior: Prior) -> bool:
-    """Whether fix and prior can both be true (1 - 1e-6, 3 dof): a scan that contradicts the
-    wheels must not enter the map."""
-    difference = fix.map_from_base.as_array() - prior.target_from_source.as_array()
-    difference[2] = wrap_angle(float(difference[2]))
-    spread = fix.covariance + inverse_matrix(prior.information)
-    return float(difference @ inverse_matrix(spread) @ difference) <= _COMPATIBLE_D2
-
-
-def _placed(request: SlamRequest, rung: Rung, best: Hypothesis, fix: SlamPose) -> Pose2:
-    """Where an accepted scan was taken, by scan and wheels together.
-
-    A search knows nothing of the wheels: along a corridor any place will do for it.
-    """
-    if rung is Rung.RELATIVE or request.map_from_base is None or request.covariance is None:
-        return best.pose
-    expected, covariance = request.map_from_base, request.covariance
-    return fused(expected, covariance, fix.map_from_base, fix.covariance)[0]
-
-
-def _fix(
-    stamp_ns: int, best: Hypothesis, rung: Rung, prior: Prior | None, map_error_m: float
-) -> SlamPose:
-    """The accepted pose as a measurement of its own: without the prior that helped to find it."""
-    alignment = best.alignment
-    relocalized = rung is not Rung.RELATIVE
-    if prior is None or relocalized:
-        floor = np.eye(3) / _FIX_LIMIT
-        pose, covariance = best.pose, inverse_matrix(alignment.information + floor)
-    else:
-        pose, covariance = points_alone(alignment, prior)
-    covariance = covariance + map_error_m**2 * _BY_MAP_ERROR
-    scale = min(1.0, _FIX_LIMIT / float(np.trace(covariance)))
-    return SlamPose(
-        stamp_ns=stamp_ns,
-        map_from_base=pose,
-        covariance=scale * covariance,
-        relocalized=relocalized,
-    )

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amr_slam.engine import SlamEngine, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer
 from amr_slam.recording import Trajectory
 from amr_slam.samples import DriveSample, Outcome, Scan
+from amr_slam.slam_request import SlamResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from amr_slam.engine import SlamResult
 from amr_slam.evidence import apart
 from amr_slam.geometry import Pose2
 from amr_slam.region import Region
 from amr_slam.samples import Motion, SlamPose
+from amr_slam.slam_request import SlamResult
 
 Wheels = Callable[[int, int], Motion | None]
 """What the wheels say between two instants; None when they no longer know."""

@@ -16,7 +16,7 @@ from amr_slam.geometry import Array
 from amr_slam.hypotheses import TrackingParams
 
 if TYPE_CHECKING:  # the configuration needs the parameters, before anything that takes a while
-    from amr_slam.engine import SlamResult
+    from amr_slam.slam_request import SlamResult
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

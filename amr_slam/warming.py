@@ -9,10 +9,11 @@ import numpy as np
 
 from amr_slam.clouds import CloudParams, cloud_from_points
 from amr_slam.compiled import ENABLED
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
+from amr_slam.slam_request import SlamRequest
 
 _ROOM_M = (4.0, 3.0)
 _BEAMS = 360

@@ -17,15 +17,16 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.clouds import Cloud, cloud_from_scan, merge
 from amr_slam.commissioning import Report, ReportParams, make_report, usual_eyes
 from amr_slam.commissioning.cold_starts import Outcome, Switchboard
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap, save_map
 from amr_slam.params import SlamParams
-from amr_slam.simulation import World, mapping_poses, take_scan
+from amr_slam.simulation import World, mapping_poses
 from amr_slam.simulation.shapes import edges
+from amr_slam.slam_request import SlamRequest
+from amr_slam.studies.scenes import seen_by_both
 from amr_slam.studies.worlds import KINDS
 
 _WORLDS: Final = {
@@ -94,18 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _mapped(world: World, name: str) -> PointMap:
     known, rng = PointMap(_SLAM.map, name), np.random.default_rng(world.seed)
     for pose in mapping_poses(world, 1.0):
-        known.insert(_look(world, pose, rng), pose)
+        known.insert(seen_by_both(world, pose, rng), pose)
     return known
-
-
-def _look(world: World, pose: Pose2, rng: np.random.Generator) -> Cloud:
-    """What both scanners see in the world."""
-    clouds = []
-    for eye in usual_eyes():
-        scan = take_scan(replace(eye.model, sweep_s=0.0), world, pose, rng)
-        cloud = cloud_from_scan(scan, eye.mounting.base_from_lidar, _SLAM.clouds)
-        clouds.append((cloud, Pose2.identity()))
-    return merge(clouds)
 
 
 def _checked(report: Report, world: World) -> _Checked:
@@ -119,7 +110,7 @@ def _checked(report: Report, world: World) -> _Checked:
         covariance = np.diag([0.1**2, 0.1**2, 0.05**2])
         near = truth @ Pose2.from_array(rng.multivariate_normal(np.zeros(3), covariance))
         request = SlamRequest(
-            cloud=_look(world, truth, rng), map_from_base=near, covariance=covariance
+            cloud=seen_by_both(world, truth, rng), map_from_base=near, covariance=covariance
         )
         fix = engine.update(request).fix
         errors.append(np.nan if fix is None else fix.map_from_base.distance_to(truth))
@@ -130,7 +121,7 @@ def _checked(report: Report, world: World) -> _Checked:
     outcomes = []
     for one in report.starts.tried:
         request = SlamRequest(
-            cloud=_look(world, one.truth, rng), map_from_base=None, covariance=None
+            cloud=seen_by_both(world, one.truth, rng), map_from_base=None, covariance=None
         )
         again = board.judged(engine.update(request).answer, one.truth, even=one.even)
         outcomes.append((one, again.outcome))
@@ -162,7 +153,7 @@ def _boxes(report: Report, world: World) -> None:
     starts = list({c.start: None for pair in report.pairs for c in pair.confused})
     outcomes = []
     for one in starts:
-        cloud = _look(with_boxes, one.truth, rng)
+        cloud = seen_by_both(with_boxes, one.truth, rng)
         request = SlamRequest(cloud=cloud, map_from_base=None, covariance=None)
         outcomes.append(board.judged(engine.update(request).answer, one.truth, even=True).outcome)
     said = report.together

@@ -17,7 +17,7 @@ from typing import Final, ParamSpec, TypeVar
 import numpy as np
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan, merge
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.fusion import FilterParams, PoseFilter
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
@@ -39,6 +39,7 @@ from amr_slam.simulation import (
     take_scan,
 )
 from amr_slam.slam import Verdict, slam_absolute
+from amr_slam.slam_request import SlamRequest
 
 _Args = ParamSpec("_Args")
 _T = TypeVar("_T")

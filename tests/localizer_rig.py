@@ -8,7 +8,6 @@ import numpy as np
 
 from amr_slam.changes import Change
 from amr_slam.clouds import CloudParams
-from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.evidence import Answer, Hypothesis, Rung, Verdict, unknown
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Array, Pose2, inverse_matrix
@@ -17,6 +16,8 @@ from amr_slam.localizer import Localizer, LocalizerParams, Mounting
 from amr_slam.odometry import DifferentialDrive
 from amr_slam.registration.alignment import Alignment
 from amr_slam.samples import Outcome, PoseEstimate, Scan, SlamPose, State, WheelSample
+from amr_slam.slam_request import SlamRequest, SlamResult
+from amr_slam.states import Mode
 
 WHEEL_NS = 20_000_000
 DRIVE = DifferentialDrive(radius_left_m=0.1, radius_right_m=0.1, track_m=0.5)

@@ -14,10 +14,11 @@ from camera_drives import MARKER, SITE_FROM_MAP, draw_plan, drive, seen_by_camer
 from labs import cloud_at, covered_poses, heading_error_rad, lab, mapped_lab
 from test_cli import amr_slam, error_line
 
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.map import load_map, save_map
 from amr_slam.params import preset
 from amr_slam.recording import write_tum
+from amr_slam.slam_request import SlamRequest
 
 
 @pytest.fixture

@@ -18,12 +18,13 @@ from labs import (
 )
 
 from amr_slam.clouds import Cloud
-from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Rung, Verdict
 from amr_slam.geometry import Array, Pose2, inverse_matrix
 from amr_slam.map import MapParams, PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration.error import e_psr
+from amr_slam.slam_request import SlamRequest, SlamResult
 
 PARAMS = SlamParams()
 SURE = np.diag([0.02**2, 0.02**2, math.radians(0.5) ** 2])

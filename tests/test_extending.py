@@ -10,7 +10,7 @@ from robot_file import edited
 from amr_slam import config
 from amr_slam.map import MapParams, PointMap, save_map
 from amr_slam.service.daemon import first_jobs
-from amr_slam.slam_process import SlamJob
+from amr_slam.slam_messages import SlamJob
 
 
 def begun(folder: Path, told: str, cut_off: str | None = None) -> tuple[SlamJob, SlamJob | None]:

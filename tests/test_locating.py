@@ -19,12 +19,13 @@ from locating import (
 )
 
 from amr_slam.clouds import Cloud
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.samples import State
 from amr_slam.simulation import World
+from amr_slam.slam_request import SlamRequest
 
 BEGIN = Pose2(-7.5, 2.5, 0.0)
 RIGHT_M = 0.25

@@ -15,7 +15,7 @@ import pytest
 from labs import cloud_at, covered_poses, heading_error_rad, lab, room, tour_poses
 from test_cli import amr_slam, error_line
 
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Array, Pose2, inverse_matrix
 from amr_slam.map import (
     Imported,
@@ -33,6 +33,7 @@ from amr_slam.merging import Found, MergeError, MergeParams, Merger, find, join
 from amr_slam.params import SlamParams
 from amr_slam.simulation import World
 from amr_slam.simulation.shapes import box, edges
+from amr_slam.slam_request import SlamRequest
 
 PARAMS = SlamParams()
 FEW = MergeParams(looks=8, judged=24)

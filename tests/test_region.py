@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from labs import cloud_at, corridor, lab, mapped_lab, room, tour_poses, world_of
 
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Rung, Verdict
 from amr_slam.geometry import Pose2
 from amr_slam.map import MapParams, PointMap
 from amr_slam.params import SlamParams
 from amr_slam.region import Region, slam_region
+from amr_slam.slam_request import SlamRequest
 
 PARAMS = SlamParams()
 

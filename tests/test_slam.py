@@ -20,7 +20,7 @@ from labs import (
 )
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_points, cloud_from_scan
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import decide
 from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.map import MapParams, PointMap
@@ -36,6 +36,7 @@ from amr_slam.slam import (
     slam_absolute,
     slam_relative,
 )
+from amr_slam.slam_request import SlamRequest
 
 PARAMS = SlamParams()
 

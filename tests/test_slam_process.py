@@ -20,13 +20,13 @@ import pytest
 from labs import cloud_at, lab, mapped_lab, tour_poses
 
 from amr_slam import slam_process
-from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import load_map, save_map
 from amr_slam.map.export import occupancy_image
 from amr_slam.params import SlamParams
 from amr_slam.region import Region
-from amr_slam.slam_process import (
+from amr_slam.slam_messages import (
     Declined,
     Draw,
     Drawn,
@@ -42,6 +42,7 @@ from amr_slam.slam_process import (
     Switched,
     Unsaved,
 )
+from amr_slam.slam_request import SlamRequest, SlamResult
 from amr_slam.starting import started
 
 DEADLINE_S = 60.0

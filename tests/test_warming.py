@@ -13,10 +13,11 @@ from labs import cloud_at, lab, tour_poses
 
 from amr_slam import warming
 from amr_slam.compiled import ENABLED, Loop
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams, preset
+from amr_slam.slam_request import SlamRequest
 
 TESTS = Path(__file__).resolve().parent
 

@@ -12,13 +12,14 @@ from labs import cloud_at, room, world_of
 from localizer_rig import SURE, Rig
 
 from amr_slam.changes import compare
-from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Verdict
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import LocalizerParams
 from amr_slam.map import LayerKind, Layers, MapParams, PointMap
 from amr_slam.params import SlamParams
 from amr_slam.samples import State
+from amr_slam.slam_request import SlamRequest, SlamResult
 
 LEFT_HALF = np.array([[-1.0, -1.0], [4.1, -1.0], [4.1, 7.0], [-1.0, 7.0]])
 EVERYTHING = np.array([[-1.0, -1.0], [9.0, -1.0], [9.0, 7.0], [-1.0, 7.0]])

@@ -15,7 +15,7 @@ import numpy as np
 
 from amr_slam.calibration.values import Measures, Sightings
 from amr_slam.clouds import cloud_from_scan
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evaluation import poses_at
 from amr_slam.fusion import FilterParams
 from amr_slam.fusion.trail import Trail
@@ -27,6 +27,7 @@ from amr_slam.params import SlamParams
 from amr_slam.recording import Trajectory
 from amr_slam.replay import replay, thin_scans
 from amr_slam.samples import Scan, WheelSample
+from amr_slam.slam_request import SlamRequest
 
 # How far a scan may be from where the first pass and the given mounting expect it (1 sigma): the
 # mounting's error most of all.

@@ -23,5 +23,5 @@ def run(arguments: argparse.Namespace) -> int:
     from amr_slam.client import SessionError  # noqa: PLC0415
     from amr_slam.service import daemon  # noqa: PLC0415
 
-    FAILURES[SessionError] = 1
+    FAILURES[SessionError] = 1  # known from here on only: its module imports zenoh
     return daemon.run(config, arguments.config, arguments.record, arguments.started)

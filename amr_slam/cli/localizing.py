@@ -14,13 +14,14 @@ import numpy as np
 from amr_slam.cli.progress import Progress
 from amr_slam.cli.wiring import FAILURES, open_source
 from amr_slam.clouds import cloud_from_scan
-from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Answer, Hypothesis
 from amr_slam.fusion import error95_m
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import load_map
 from amr_slam.params import SlamParams
 from amr_slam.samples import Scan
+from amr_slam.slam_request import SlamRequest, SlamResult
 
 __all__ = ["FAILURES", "run"]
 

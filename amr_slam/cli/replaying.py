@@ -17,7 +17,7 @@ from amr_slam.cli.outputs import UsageError, check_outputs, writing
 from amr_slam.cli.progress import Progress
 from amr_slam.cli.wiring import FAILURES, Source, odometry, open_source
 from amr_slam.config import load
-from amr_slam.engine import SlamEngine, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.evaluation import ErrorSummary, absolute_trajectory_error
 from amr_slam.fusion import FilterParams
 from amr_slam.localizer import Localizer, LocalizerParams
@@ -26,6 +26,7 @@ from amr_slam.recording import Trajectory, write_tum
 from amr_slam.replay import ReplayResult, replay
 from amr_slam.rerun import rerun
 from amr_slam.samples import PoseEstimate, Scan
+from amr_slam.slam_request import SlamResult
 
 __all__ = ["FAILURES", "run"]
 

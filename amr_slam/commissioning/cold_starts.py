@@ -12,13 +12,14 @@ import numpy as np
 from amr_slam.commissioning.places import thinned
 from amr_slam.commissioning.settings import ReportParams
 from amr_slam.commissioning.viewing import Eye, seen
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Answer, Verdict, apart
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration import rdnm
 from amr_slam.registration.rdnm import RdnmParams
+from amr_slam.slam_request import SlamRequest
 
 Progress = Callable[[float], None]
 """Told the share that is done."""

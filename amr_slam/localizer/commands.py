@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from amr_slam.engine import Mode, SlamResult
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer.fused import ANYWHERE, NEW_MAP, FusedPose
 from amr_slam.localizer.placing import Placing
 from amr_slam.region import Region
 from amr_slam.samples import SlamPose
 from amr_slam.seeking import Seek
+from amr_slam.slam_request import SlamResult
+from amr_slam.states import Mode
 from amr_slam.suspicions import Suspicions
 
 

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from amr_slam.clouds import CloudParams
-from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.frozen import FrozenScans
 from amr_slam.fusion import Calibration, FilterParams, PoseFilter
 from amr_slam.geometry import Array, Pose2
@@ -21,6 +20,8 @@ from amr_slam.pairing import Pairing, end_ns
 from amr_slam.region import Region
 from amr_slam.samples import DriveSample, Motion, Outcome, PoseEstimate, Scan, SlamPose
 from amr_slam.seeking import Seek
+from amr_slam.slam_request import SlamRequest, SlamResult
+from amr_slam.states import Mode
 from amr_slam.suspicions import Suspicions
 from amr_slam.trust import LocalizerParams
 from amr_slam.wheel_events import WheelEvent

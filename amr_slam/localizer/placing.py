@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from amr_slam.agreement import AGREE_D2, agreement_d2, moved
-from amr_slam.engine import Mode, SlamResult
 from amr_slam.evidence import Answer, Rung, apart
 from amr_slam.geometry import Array, Pose2, turned, wrap_angle
 from amr_slam.hypotheses import Hypotheses
 from amr_slam.localizer.fused import FusedPose
 from amr_slam.samples import Outcome, SlamPose
+from amr_slam.slam_request import SlamResult
+from amr_slam.states import Mode
 from amr_slam.trust import LocalizerParams, too_wide, whole_map
 
 

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from amr_slam.engine import Mode, SlamResult
 from amr_slam.fusion.ekf import Ekf
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer, Sample
@@ -22,6 +21,8 @@ from amr_slam.region import Region
 from amr_slam.rerun.state import Plain, taken_apart
 from amr_slam.samples import Outcome, PoseEstimate
 from amr_slam.seeking import Seek
+from amr_slam.slam_request import SlamResult
+from amr_slam.states import Mode
 
 SNAPSHOT: Final = "snapshot"
 DRIVE: Final = "drive"

@@ -21,7 +21,7 @@ from amr_slam.service.recorder import Recorder
 from amr_slam.service.tasks import Tasks
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked, ChangesWanted, ImageWanted, MapFile, MapWanted, Picture
-from amr_slam.slam_process import (
+from amr_slam.slam_messages import (
     Compare,
     Compared,
     Draw,

@@ -21,7 +21,6 @@ from types import FrameType
 from typing import Final
 
 from amr_slam.config import Config, ConfigError
-from amr_slam.engine import SlamRequest, SlamResult
 from amr_slam.localizer import Sample
 from amr_slam.publishing import RobotPublisher
 from amr_slam.rerun import WitnessedLocalizer
@@ -42,7 +41,8 @@ from amr_slam.service.upkeep import Upkeep
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
 from amr_slam.shadow import Shadow
-from amr_slam.slam_process import Renewed, SlamJob
+from amr_slam.slam_messages import Renewed, SlamJob
+from amr_slam.slam_request import SlamRequest, SlamResult
 from amr_slam.starting import Started
 
 _log = logging.getLogger(__name__)

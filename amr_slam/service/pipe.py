@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from amr_slam.engine import SlamRequest, SlamResult
-from amr_slam.slam_process import Ready, Refused, Saved, SlamJob, Stop, Task, TaskAnswer, Unsaved
+from amr_slam.slam_messages import Ready, Refused, Saved, SlamJob, Stop, Task, TaskAnswer, Unsaved
+from amr_slam.slam_request import SlamRequest, SlamResult
 
 Outgoing = SlamJob | SlamRequest | Task | Unsaved | Stop | None
 """None ends the sending thread."""

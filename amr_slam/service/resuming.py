@@ -13,7 +13,7 @@ from dataclasses import replace
 from amr_slam.localizer import Localizer
 from amr_slam.samples import State
 from amr_slam.service.worker import SlamWorker
-from amr_slam.slam_process import Declined, Grow, SlamJob, Switched, TaskAnswer
+from amr_slam.slam_messages import Declined, Grow, SlamJob, Switched, TaskAnswer
 
 _log = logging.getLogger(__name__)
 

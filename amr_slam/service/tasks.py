@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from amr_slam.service.worker import SlamWorker
 from amr_slam.serving import Asked
-from amr_slam.slam_process import Declined, Task, TaskAnswer
+from amr_slam.slam_messages import Declined, Task, TaskAnswer
 
 Done = Callable[[TaskAnswer], object]
 

@@ -20,11 +20,10 @@ from pathlib import Path
 from typing import Final
 
 from amr_slam import starting
-from amr_slam.engine import Mode, SlamRequest, SlamResult
 from amr_slam.living import ChangeCounts
 from amr_slam.samples import Health, Link
 from amr_slam.service.pipe import FromWorker, Outgoing, receive, send
-from amr_slam.slam_process import (
+from amr_slam.slam_messages import (
     Compared,
     Declined,
     Drawn,
@@ -41,7 +40,9 @@ from amr_slam.slam_process import (
     TaskAnswer,
     Unsaved,
 )
+from amr_slam.slam_request import SlamRequest, SlamResult
 from amr_slam.starting import Started
+from amr_slam.states import Mode
 
 _log = logging.getLogger(__name__)
 

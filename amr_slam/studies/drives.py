@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.engine import SlamEngine, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.evaluation import absolute_trajectory_error, align_se2, poses_at
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Array, Pose2
@@ -27,6 +27,7 @@ from amr_slam.simulation import (
     World,
     plan_tour,
 )
+from amr_slam.slam_request import SlamResult
 
 WHEEL_ERROR: Final = 0.005
 """Standard deviation of the wheels' radii and of the track, as a share: the odometry that

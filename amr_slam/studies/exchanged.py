@@ -11,13 +11,14 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.fusion import error95_m
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap, moved
 from amr_slam.map.export import write_occupancy
 from amr_slam.map.importing import import_map
 from amr_slam.params import preset
+from amr_slam.slam_request import SlamRequest
 from amr_slam.studies.report import Effort, Section, Table
 from amr_slam.studies.scenes import S300, Scene, is_right, laboratory_scene, pose_error
 from amr_slam.studies.trials import percent

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from amr_slam.clouds import Cloud, CloudParams, cloud_from_scan
-from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.evaluation import align_se2
 from amr_slam.geometry import Array, Pose2, inverse_matrix, wrap_angle
 from amr_slam.map import PointMap
@@ -19,6 +19,7 @@ from amr_slam.params import SlamParams
 from amr_slam.pictures import style
 from amr_slam.simulation import ScannerModel, World, take_scan
 from amr_slam.simulation.aisles import Warehouse, warehouse
+from amr_slam.slam_request import SlamRequest, SlamResult
 from amr_slam.studies.report import Effort, Picture, Section, Table
 
 _AREA_M2: Final = 10_000.0

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from amr_slam.clouds import Cloud, cloud_from_scan
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Verdict
 from amr_slam.geometry import Array, Pose2
 from amr_slam.living import AcceptPolicy, MapChange, Watcher, accept, eligible
@@ -34,6 +34,7 @@ from amr_slam.simulation import (
     take_scan,
 )
 from amr_slam.simulation.shapes import distance_to_segments
+from amr_slam.slam_request import SlamRequest
 from amr_slam.studies.scenes import MAPPING_SCANS, S300, Scene, along, is_right
 
 _PEOPLE: Final = 5

@@ -15,18 +15,17 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.clouds import Cloud, cloud_from_scan, merge
-from amr_slam.commissioning import usual_eyes
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evaluation import align_se2
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.merging import Found, MergeError, MergeParams, find, join
 from amr_slam.params import SlamParams
-from amr_slam.simulation import World, mapping_poses, take_scan
+from amr_slam.simulation import World, mapping_poses
 from amr_slam.simulation.aisles import warehouse
 from amr_slam.simulation.buildings import alike_rooms
-from amr_slam.studies.scenes import is_right
+from amr_slam.slam_request import SlamRequest
+from amr_slam.studies.scenes import is_right, seen_by_both
 from amr_slam.studies.worlds import KINDS
 
 PARAMS: Final = SlamParams()
@@ -114,7 +113,7 @@ def session(world: World, poses: Sequence[Pose2], seed: int, name: str) -> Sessi
             noise = rng.normal(0.0, _NOISE)
             turn = step.theta_rad + bend * math.hypot(step.x_m, step.y_m) + noise[2]
             pose = pose @ Pose2(step.x_m * (1.0 + scale) + noise[0], step.y_m + noise[1], turn)
-        cloud = replace(look(world, truth, rng), stamp_ns=(number + 1) * _STEP_NS)
+        cloud = replace(seen_by_both(world, truth, rng), stamp_ns=(number + 1) * _STEP_NS)
         covariance = _BELIEVED if number else 1e-6 * np.eye(3)
         result = engine.update(SlamRequest(cloud=cloud, map_from_base=pose, covariance=covariance))
         if result.inserted:
@@ -125,16 +124,6 @@ def session(world: World, poses: Sequence[Pose2], seed: int, name: str) -> Sessi
             pose = result.moved @ pose
     engine.settle()
     return Session(known=engine.map, truth=np.array(joined))
-
-
-def look(world: World, pose: Pose2, rng: np.random.Generator) -> Cloud:
-    """What both scanners of a standing robot see."""
-    clouds = []
-    for eye in usual_eyes():
-        scan = take_scan(replace(eye.model, sweep_s=0.0), world, pose, rng)
-        cloud = cloud_from_scan(scan, eye.mounting.base_from_lidar, PARAMS.clouds)
-        clouds.append((cloud, Pose2.identity()))
-    return merge(clouds)
 
 
 def halves(place: Place, tried: int) -> Outcome:
@@ -198,7 +187,7 @@ def localized(world: World, one: Session, poses: Sequence[Pose2], tried: int) ->
     engine = SlamEngine(PARAMS, one.known, "localization")
     right, wrong, errors = 0, 0, []
     for pose in _beside(world, poses, tried, rng):
-        cloud, truth = look(world, pose, rng), map_from_world @ pose
+        cloud, truth = seen_by_both(world, pose, rng), map_from_world @ pose
         fix = engine.update(SlamRequest(cloud=cloud, map_from_base=None, covariance=None)).fix
         if fix is not None:
             is_there = is_right(fix.map_from_base, truth)

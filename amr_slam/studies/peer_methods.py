@@ -17,13 +17,14 @@ from typing import Any, Final
 import numpy as np
 
 from amr_slam.clouds import Cloud, cloud_from_scan
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
 from amr_slam.registration import icp
 from amr_slam.samples import Scan
 from amr_slam.slam import Verdict, slam_absolute
+from amr_slam.slam_request import SlamRequest
 
 START_M: Final = 0.15
 START_RAD: Final = math.radians(5.0)

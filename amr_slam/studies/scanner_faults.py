@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.engine import Mode, SlamEngine
+from amr_slam.engine import SlamEngine
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Pose2
 from amr_slam.localizer import Localizer, LocalizerParams
@@ -38,6 +38,7 @@ from amr_slam.simulation import (
     opposite_scanners,
     plan_tour,
 )
+from amr_slam.states import Mode
 from amr_slam.studies.scenes import Scene
 
 WORLDS: Final[dict[str, Callable[[int], World]]] = {

@@ -15,7 +15,8 @@ from typing import Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from amr_slam.clouds import Cloud, CloudParams, cloud_from_points
+from amr_slam.clouds import Cloud, CloudParams, cloud_from_points, cloud_from_scan, merge
+from amr_slam.commissioning import usual_eyes
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import SlamParams
@@ -167,3 +168,13 @@ def _ends(model: ScannerModel, world: World, pose: Pose2, rng: np.random.Generat
     points: Array = ranges[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
     ends: Array = (pose @ model.base_from_lidar) @ points
     return ends
+
+
+def seen_by_both(world: World, pose: Pose2, rng: np.random.Generator) -> Cloud:
+    """What both scanners of a standing robot, mounted as usual, see in one look."""
+    clouds = []
+    for eye in usual_eyes():
+        scan = take_scan(replace(eye.model, sweep_s=0.0), world, pose, rng)
+        cloud = cloud_from_scan(scan, eye.mounting.base_from_lidar, CloudParams())
+        clouds.append((cloud, Pose2.identity()))
+    return merge(clouds)

@@ -9,11 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.params import Preset, SlamParams, preset
 from amr_slam.pictures import MapPanel, map_panels
+from amr_slam.slam_request import SlamRequest
 from amr_slam.studies.drives import Drive, Survey, drive, survey
 from amr_slam.studies.report import Effort, Picture, Section, Table
 from amr_slam.studies.scenes import Scene, laboratory_scene, with_noise

@@ -15,11 +15,12 @@ from amr_slam.commissioning.cold_starts import ColdStart, Outcome, Switchboard
 from amr_slam.commissioning.look_alikes import pairs
 from amr_slam.commissioning.machine import facts
 from amr_slam.commissioning.page import page
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap
 from amr_slam.simulation import World
 from amr_slam.simulation.shapes import edges
+from amr_slam.slam_request import SlamRequest
 
 SCANS = [
     *((x, y) for x in (-9.0, -7.0, -5.0) for y in (-1.4, 1.0, 2.2)),

@@ -12,9 +12,10 @@ from locating import PARAMS, map_of
 from amr_slam.commissioning import ReportParams, usual_eyes
 from amr_slam.commissioning.boxes import POST, Box, with_box
 from amr_slam.commissioning.precision import expected_covariance, precision
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.fusion import error95_m
 from amr_slam.geometry import Pose2
+from amr_slam.slam_request import SlamRequest
 
 
 def test_in_a_long_corridor_the_weak_direction_is_along_it() -> None:

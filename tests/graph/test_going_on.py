@@ -11,11 +11,12 @@ import pytest
 from labs import cloud_at, lab, tour_poses
 
 from amr_slam.cli import main
-from amr_slam.engine import SlamEngine, SlamRequest, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import PointMap, save_map
 from amr_slam.map.file import decode, encode
 from amr_slam.params import SlamParams
+from amr_slam.slam_request import SlamRequest, SlamResult
 
 PARAMS = SlamParams()
 STEP = np.diag([0.02**2, 0.02**2, 0.01**2])

@@ -12,7 +12,6 @@ from labs import cloud_at
 from living.places import AFTER, IS, KNOWN, PLACES, WAS, mapped
 from test_slam_process import Line, at_once, localizing, serving
 
-from amr_slam.engine import SlamRequest, SlamResult
 from amr_slam.living import (
     AcceptPolicy,
     MapChange,
@@ -25,7 +24,8 @@ from amr_slam.living import (
 from amr_slam.map import load_map, moved, save_map
 from amr_slam.params import SlamParams
 from amr_slam.reporting import map_changes
-from amr_slam.slam_process import Compare, Compared, Renewed, SlamJob, Stop, Switch, Switched
+from amr_slam.slam_messages import Compare, Compared, Renewed, SlamJob, Stop, Switch, Switched
+from amr_slam.slam_request import SlamRequest, SlamResult
 from amr_slam.wire import MAX_CHANGES, MAX_MESSAGE_BYTES, MapChanges
 
 __all__ = ["at_once"]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from amr_slam.cli import main
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.fusion import error95_m
 from amr_slam.geometry import Array, Pose2
 from amr_slam.map import MapError, PointMap, load_map
@@ -26,6 +26,7 @@ from amr_slam.map.importing import import_map
 from amr_slam.map.occupancy import read_grid
 from amr_slam.params import SlamParams
 from amr_slam.simulation import World
+from amr_slam.slam_request import SlamRequest
 
 NEAR = np.diag([0.05**2, 0.05**2, 0.03**2])
 

@@ -11,11 +11,12 @@ import pytest
 from labs import cloud_at, covered_poses, heading_error_rad, lab, mapped_lab
 
 from amr_slam.clouds import Cloud
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.geometry import Pose2
 from amr_slam.map import PointMap, Reframing, load_map, moved, save_map
 from amr_slam.map.rays import nothing
 from amr_slam.params import preset
+from amr_slam.slam_request import SlamRequest
 
 SITE_FROM_MAP = Pose2(103.4, -57.2, math.radians(33.0))
 TOLD = Reframing(

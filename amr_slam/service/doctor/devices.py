@@ -8,12 +8,13 @@ from typing import Final
 
 from amr_slam.clouds import cloud_from_scan
 from amr_slam.config import Config
-from amr_slam.engine import SlamEngine, SlamRequest
+from amr_slam.engine import SlamEngine
 from amr_slam.evidence import Verdict
 from amr_slam.map import MapError, PointMap, load_newest
 from amr_slam.samples import Link, Scan
 from amr_slam.service import probe
 from amr_slam.service.doctor.findings import Finding, advice
+from amr_slam.slam_request import SlamRequest
 
 _FITS: Final = 0.3
 """Odds of the best place of one scan, below which it says that the map is of another place."""

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from amr_slam.clouds import CloudParams
-from amr_slam.engine import SlamResult
 from amr_slam.evidence import Answer, Rung, Verdict
 from amr_slam.fusion import FilterParams
 from amr_slam.geometry import Array, Pose2, wrap_angle
 from amr_slam.localizer import Localizer, LocalizerParams
 from amr_slam.samples import PoseEstimate, SlamPose
+from amr_slam.slam_request import SlamResult
 from amr_slam.studies.fusion.simulated import DRIVE, Recording
 
 _ANSWER = Answer(verdict=Verdict.ACCEPTED, rung=Rung.RELATIVE, candidates=1, margin=1.0)

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from amr_slam.engine import Mode, SlamEngine, SlamResult
+from amr_slam.engine import SlamEngine
 from amr_slam.fusion import Calibration, FilterParams
 from amr_slam.geometry import Array, Pose2
 from amr_slam.localizer import Localizer, LocalizerParams, Mounting
@@ -20,6 +20,8 @@ from amr_slam.params import SlamParams
 from amr_slam.recording import Log, Sample, Trajectory
 from amr_slam.replay import thin_scans
 from amr_slam.samples import OdometrySample, Scan, SlamPose, State
+from amr_slam.slam_request import SlamResult
+from amr_slam.states import Mode
 from amr_slam.studies.fusion.methods import (
     HELD,
     PRODUCT,
