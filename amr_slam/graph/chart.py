@@ -27,7 +27,7 @@ _STRAINED_D2: Final = 2.4
 _MOST_WAITING: Final = 12
 """until there are so many: then all poses are found anew."""
 _URGENT_D2: Final = 16.27
-"""A loop that is off by more than chance makes it waits for nothing. The others wait, too,"""
+"""A loop that is off by more than chance allows waits for nothing. All others wait, too,"""
 _PATIENCE: Final = 300
 """until the chart has grown by this part of it: however large it is, a scan costs the same."""
 
